@@ -66,7 +66,8 @@ def check_options(owner: str, options: Iterable[str], known: Sequence[str]) -> N
     unknown = [f"{name!r}{did_you_mean(name, known)}" for name in options if name not in known]
     if unknown:
         raise ArgumentError(
-            f"{owner} has no option {', '.join(unknown)}; its options: {', '.join(known)}"
+            f"{owner} has no option {', '.join(unknown)}; its options: "
+            + (", ".join(known) or "none")
         )
 
 

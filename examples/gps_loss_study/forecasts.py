@@ -4,7 +4,7 @@ They come from the shipped policies and the controllers, each a run of the study
 
     P=examples/gps_loss_study/policies
     usv-twin evaluate los los-twin mpc-twin $P/ppo-twin.npz $P/ppo-raw.npz --sea 2
-        --faults none,gps30 --seeds 900000-900003 --json episodes.json
+        --faults none,gps30 --seeds 900000-900011 --json episodes.json
     python examples/gps_loss_study/forecasts.py episodes.json
 """
 

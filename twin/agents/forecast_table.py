@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["FORECAST_HEADS", "forecast_cells", "forecast_rows", "mean_scores"]
+__all__ = ["FORECAST_HEADS", "forecast_rows", "mean_scores"]
 
 HORIZONS = (1, 2, 5, 10)
 """Seconds ahead, as in the names of scores."""
@@ -18,7 +18,7 @@ PLANS = {"known": "that came", "held": "held"}
 COUNTED_BY_INTERVALS = "coverage90"
 
 FORECAST_HEADS = (
-    *("displacement, m", "heading, deg", "speed, m/s"),
+    *("ahead, s", "displacement, m", "heading, deg", "speed, m/s"),
     *("coverage: displacement", "heading", "speed", "forecasts"),
 )
 """Heads of what :func:`forecast_rows` returns, after the place and the plan."""
@@ -44,18 +44,19 @@ def mean_scores(episodes: Sequence[Scores]) -> dict[str, float]:
     return found
 
 
-def forecast_rows(episodes: Sequence[Scores], horizon: int = 10) -> list[list[str]]:
-    """Return rows of a table for the episodes of one agent, by place and plan of the commands."""
+def forecast_rows(episodes: Sequence[Scores]) -> list[list[str]]:
+    """Return rows of a table for the episodes of one agent, by place, plan and time ahead."""
     scores = mean_scores(episodes)
     return [
-        [PLACES[place], PLANS[plan], *forecast_cells(scores, plan, place, horizon)]
+        [PLACES[place], PLANS[plan], *_cells(scores, plan, place, horizon)]
         for place in PLACES
         for plan in PLANS
+        for horizon in HORIZONS
         if scores[f"n{place}"]
     ]
 
 
-def forecast_cells(scores: Scores, plan: str, place: str, horizon: int) -> list[str]:
+def _cells(scores: Scores, plan: str, place: str, horizon: int) -> list[str]:
     """Return the cells of a row, by :data:`FORECAST_HEADS`."""
     stem = f"{plan}{place}_{horizon}s"
     errors = (
@@ -68,4 +69,4 @@ def forecast_cells(scores: Scores, plan: str, place: str, horizon: int) -> list[
         for channel in ("displacement", "heading", "speed")
     ]
     covered = ["-" if share is None else f"{share:.0%}" for share in shares]
-    return [*errors, *covered, f"{scores[f'n{place}']:.0f}"]
+    return [str(horizon), *errors, *covered, f"{scores[f'n{place}']:.0f}"]

@@ -100,8 +100,8 @@ def forecast_lines(results: Mapping[str, Any]) -> list[str]:
     about = results.get("forecasts_of", "all episodes of the tables above")
     lines = [
         "", "## How predictable is the boat of each agent?", "",
-        f"Forecasts of the twin `{twin}`, made each second on {about}: mean absolute error 10 s "
-        "ahead and share of truths within the 90 % intervals. `That came`: with the commands that "
+        f"Forecasts of the twin `{twin}`, made each second on {about}: mean absolute errors "
+        "and share of truths within the 90 % intervals. `That came`: with the commands that "
         "the agent then gave. `Held`: with the command of the moment.", "",
     ]  # fmt: skip
     lines += (_row(["agent", "made", "commands", *FORECAST_HEADS]),)

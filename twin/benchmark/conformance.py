@@ -51,6 +51,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+LONGER = 8
+"""A history is checked as it is, and so many times as long."""
+
 ROWS = 500
 """Rows before the answers that the checks compare: 25 s at 20 Hz."""
 
@@ -284,6 +287,10 @@ def _check_origins(trial: _Trial) -> str:
     other = copy.deepcopy(predictor)
     other.forecast = noted  # type: ignore[method-assign]
     other.predict(trial.plan.copy(), PLAN_DT)
+    if calls:  # a long history too: what is used may hang on its length
+        rows, origins, plans = max(calls, key=lambda call: len(call[1]))
+        more = np.tile(rows, (LONGER, 1))
+        calls.append((more, origins + len(more) - len(rows), plans))
     rng, count = np.random.default_rng(1), 0
     for rows, origins, plans in calls:
         clean = forecast(rows, origins, plans)

@@ -29,8 +29,13 @@ from twin.cli.common import (
 )
 from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
+from usv_gym.world.sensors import GRADES
 
 EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
+
+
+INTERVAL_MIN = 3
+"""Fewer episodes have no interval."""
 
 
 def evaluate_command(
@@ -58,6 +63,9 @@ def evaluate_command(
     vessel: Annotated[
         str | None, typer.Option(help="Default: that of the training, or usv75.")
     ] = None,
+    sensors: Annotated[
+        str, typer.Option(help=f"Grade of the sensors, one of: {', '.join(GRADES)}.")
+    ] = "typical",
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Every episode, in full precision.")
     ] = None,
@@ -81,10 +89,11 @@ def evaluate_command(
     chosen = {"task": task, "twin": twin, "vessel": vessel}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in _agents(model)]
-    same = _trained_with([pair[1] for pair in agents], given)
+    same = _trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     heads = ("agent", "sea", *outages)
     table = new_table(
-        f"task {same['task']}: distance off the path, m; median [95 % interval], share of failures",
+        f"task {same['task']}: distance off the path, m; median [95 % interval], share of "
+        "failures; mean return",
         *heads,
         left=heads,
     )
@@ -106,17 +115,16 @@ def evaluate_command(
             made[i] = rows
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
-    for model, agent in agents:
+    labels = _labels(agents)
+    for model in labels:
         for state in seas:
             groups = [
                 [row for row in found if (row["model"], row["sea"], row["faults"]) == key]
                 for key in ((model, state, loss) for loss in outages)
             ]
-            table.add_row(
-                agent.name if model == agent.name else model, state, *map(_median, groups)
-            )
+            table.add_row(labels[model], state, *map(_median, groups))
     console.print(table)
-    console.print(_forecasts(agents, found, same["twin"]))
+    console.print(_forecasts(labels, found, same["twin"]))
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
     if json_file is not None:
@@ -176,31 +184,43 @@ def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _forecasts(agents: list[tuple[str, Agent]], found: list[dict[str, Any]], twin: str) -> Table:
+def _labels(agents: list[tuple[str, Agent]]) -> dict[str, str]:
+    """Return short names of the agents by their models: the last part of a path, if it is one."""
+    short = {
+        model: agent.name if model == agent.name else Path(model).name.removesuffix(".npz")
+        for model, agent in agents
+    }
+    names = list(short.values())
+    return {model: name if names.count(name) == 1 else model for model, name in short.items()}
+
+
+def _forecasts(labels: dict[str, str], found: list[dict[str, Any]], twin: str) -> Table:
     """Return the table of the twin's forecasts on the episodes of each agent."""
-    heads = ("agent", "sensors", "commands", "m", "deg", "m/s", "in 90 %", "n")
+    heads = ("agent", "sensors", "commands", "ahead", "m", "deg", "m/s", "in 90 %", "n")
     title = (
-        f"forecasts of {twin} on the same episodes, 10 s ahead: mean errors of displacement, "
-        "heading and speed, and shares of them in the 90 % intervals"
+        f"forecasts of {twin} on the same episodes: mean errors of displacement, heading and "
+        "speed, and shares of them in the 90 % intervals"
     )
     table = new_table(title, *heads, left=heads[:3])
-    for model, agent in agents:
+    for model, label in labels.items():
         rows = [row["twin_forecast"] for row in found if row["model"] == model]
-        for made, plan, *cells in forecast_rows(rows):
+        for made, plan, ahead, *cells in forecast_rows(rows):
             shares = " ".join(cells[3:6]).replace("%", "")
-            label = agent.name if model == agent.name else model
             lost = "lost" if "lost" in made else "all"
-            table.add_row(label, lost, plan, *cells[:3], shares, cells[6])
+            table.add_row(label, lost, plan, f"{ahead} s", *cells[:3], shares, cells[6])
     for column in table.columns[1:]:
         column.no_wrap = True
     return table
 
 
 def _median(rows: list[dict[str, Any]]) -> str:
-    """Return the median distance off the path with its interval, and how many failed."""
+    """Return the median distance off the path, its interval, how many failed, and the return."""
     distance = np.array([row["off_path_m"] for row in rows])
-    samples = np.random.default_rng(0).choice(distance, (study.REPLICATES, len(distance)))
-    low, high = study.interval(np.median(samples, axis=1))
     failed = sum(row["failed"] for row in rows) / len(rows)
     share = f" {failed:.0%}" if failed else ""
-    return f"{np.median(distance):.2f}\n[{low:.2f}, {high:.2f}]{share}"
+    total = f"return {np.mean([row['return'] for row in rows]):.0f}"
+    if len(rows) < INTERVAL_MIN:
+        return f"{np.median(distance):.2f}{share}\n{total}"
+    samples = np.random.default_rng(0).choice(distance, (study.REPLICATES, len(distance)))
+    low, high = study.interval(np.median(samples, axis=1))
+    return f"{np.median(distance):.2f}\n[{low:.2f}, {high:.2f}]{share}\n{total}"

@@ -11,6 +11,7 @@ from twin.benchmark.runner import gps_windows
 from twin.cli.common import (
     DofOption,
     HsOption,
+    OptionError,
     WindFromOption,
     WindOption,
     console,
@@ -60,6 +61,8 @@ def simulate_command(
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
     from twin.benchmark.figures import picture_of_log
 
+    if out is not None and not out.suffix:
+        raise OptionError(f"--out {out}: name a file: {out}.csv, .csv.gz, .parquet or .mcap")
     boat = Vessel.load(vessel)
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
     suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, fault_start)

@@ -17,7 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, TIME, TRUE_MOTION, TRUTH
+from twin.channels import (
+    COMMANDS,
+    MEASUREMENTS,
+    MOTION_AT,
+    MOTION_END,
+    TIME,
+    TRUE_MOTION,
+    TRUTH,
+    WIND_SPEED,
+)
 from twin.logs.autopilot.readers import is_autopilot_log, read_autopilot_log
 from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.checks import (
@@ -94,9 +103,13 @@ _UNIX = 1e9, 4e9
 """Times between these are seconds since 1970: September 2001 to 2096."""
 
 
-RARE = slice(MOTION_AT, MOTION_END), slice(MOTION_END, len(MEASUREMENTS))
-"""Columns that few logs have, of roll, pitch and heave, and of the apparent wind: where a log has
-none of a group, nothing is missing."""
+RARE = (
+    slice(WIND_SPEED, MOTION_AT),
+    slice(MOTION_AT, MOTION_END),
+    slice(MOTION_END, len(MEASUREMENTS)),
+)
+"""Columns that few logs have, of the true wind, of roll, pitch and heave, and of the apparent wind:
+where a log has none of a group, nothing is missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +246,7 @@ class Log:
 
         columns = {TIME: self.t}
         columns.update(zip(COMMANDS, self.cmd.T, strict=True))
-        columns.update(zip(MEASUREMENTS[:MOTION_AT], self.z.T, strict=False))
+        columns.update(zip(MEASUREMENTS[:WIND_SPEED], self.z.T, strict=False))
         for part in RARE:
             if np.isfinite(self.z[:, part]).any():
                 columns.update(zip(MEASUREMENTS[part], self.z[:, part].T, strict=True))
@@ -499,7 +512,7 @@ def assemble(table: Table) -> Log:
             check_drive(cmd[:, j], name, table)
 
     z = np.full((rows, len(MEASUREMENTS)), np.nan)
-    expected: tuple[str, ...] = MEASUREMENTS[:MOTION_AT]
+    expected: tuple[str, ...] = MEASUREMENTS[:WIND_SPEED]
     for part in RARE:
         if any(name in names for name in MEASUREMENTS[part]):
             expected = (*expected, *MEASUREMENTS[part])

@@ -146,7 +146,8 @@ def _imported(name: str, entry: str) -> Any:
         raise PredictorError(
             f"predictor {name!r}: {module!r} cannot be imported with a class {attribute!r} "
             f"({type(error).__name__}: {error}){did_you_mean(module, PREDICTORS)}; name it as "
-            "module:Class, installed or in the working directory"
+            f"{module.removesuffix('.py') or 'module'}:{attribute or 'Class'}, installed or in the "
+            "working directory"
         ) from error
 
 

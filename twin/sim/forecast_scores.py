@@ -35,6 +35,7 @@ from twin.model.structure import N_STATES
 from twin.motion.deck_motion import Z90
 from usv_gym.envs.episodes import EPISODES
 from usv_gym.physics import frames as fr
+from usv_gym.world.channels import AHRS_BIT, COMPASS_BIT, GPS_BIT, IMU_BIT, WIND_BIT
 from usv_gym.world.faults import LOSS
 from usv_gym.world.state import BOAT, sensor_arrays
 from usv_kernel.arrays import take
@@ -257,11 +258,19 @@ def _write_plan(origin, grades, plan):
 
 @kernel
 def is_in_loss(t, row, simulation):
-    """Return whether a loss of sensors is on at t (s), by a boat's row of the simulator."""
+    """Return whether a loss of sensors is on at t (s), by a boat's row of the simulator.
+
+    A loss of a sensor that the boat does not have is none.
+    """
+    there = GPS_BIT | COMPASS_BIT | IMU_BIT
+    if simulation.suite.wind_share > 0.0:
+        there |= WIND_BIT
+    if simulation.dof == 6 and simulation.suite.ahrs_share > 0.0:
+        there |= AHRS_BIT
     faults = sensor_arrays(row, simulation)[1]
     for i in range(faults.shape[0]):
         fault = faults[i]
-        if fault.effect == LOSS and t >= fault.start:
+        if fault.effect == LOSS and int(fault.bits) & there and t >= fault.start:
             bursts = fault.leave > 0.0
             if (bursts and fault.bursting > 0.0) or (not bursts and t < fault.end):
                 return True

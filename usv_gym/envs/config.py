@@ -122,7 +122,11 @@ class EnvConfig:
         angle = self.wind_from_deg
         wind_from = None if angle is None else math.radians(angle % 360.0)
         if isinstance(self.schedule, str):
-            raise SeaError(f"schedule = {self.schedule!r}: must be a sequence of SeaKeyframe")
+            raise SeaError(
+                f"schedule = {self.schedule!r}: must be a sequence of (time, hs, wind) or "
+                "(time, hs, wind, wind_from), not a text; usv_gym.world.schedule.changing_sea "
+                "makes one of such texts"
+            )
         schedule = None if self.schedule is None else SeaState(schedule=self.schedule).schedule
         return tuple(
             state.replace(

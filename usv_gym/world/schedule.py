@@ -51,6 +51,8 @@ def parse_values(text: str | float, name: str) -> Values:
             raise wrong from None
         if not all(map(math.isfinite, found[-1])):
             raise SeaError(f"{name} = {text!r}: {item!r} is not finite; write value@time")
+    if found[0][0] < 0.0:
+        raise SeaError(f"{name} = {text!r}: times begin at 0 s, but {found[0][0]:g} s is given")
     for before, after in pairwise(item[0] for item in found):
         if after <= before:
             raise SeaError(

@@ -180,9 +180,9 @@ def test_forecasts_are_graded_on_episodes_of_agents_that_see_no_twin(tmp_path):
     weighed = sum(one[name] * one["n_loss"] for one in parts)
     assert whole[name] == pytest.approx(weighed / whole["n_loss"])
     table = forecast_rows(parts)
-    assert [cells[:2] for cells in table] == [
-        ["with all sensors", "that came"],
-        ["with all sensors", "held"],
-        ["while sensors are lost", "that came"],
-        ["while sensors are lost", "held"],
+    assert [cells[:3] for cells in table] == [
+        [place, plan, ahead]
+        for place in ("with all sensors", "while sensors are lost")
+        for plan in ("that came", "held")
+        for ahead in ("1", "2", "5", "10")
     ]

@@ -66,6 +66,12 @@ def test_a_log_reads_back(tmp_path):
         assert np.allclose(log.z[:, j], RUN.z[:, j], atol=1e-12), name
 
 
+def test_a_log_without_a_date_reads_back(tmp_path):
+    path = tmp_path / "a.mcap"
+    dataclasses.replace(RUN, datum=None).write(path)
+    assert np.allclose(Log.read(path).t, RUN.t, atol=1e-9)
+
+
 def test_missing_samples_stay_missing(tmp_path):
     z = RUN.z.copy()
     z[10:30, :4] = np.nan

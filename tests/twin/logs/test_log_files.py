@@ -79,8 +79,7 @@ def test_shipped_run_has_its_notes() -> None:
     assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
     assert log.dt == pytest.approx(0.110, abs=1e-9)
     assert log.notes == (
-        "gyro_radps, accel_x_mps2, accel_y_mps2, wind_mps, wind_from_rad: not in the file, taken "
-        "as never measured",
+        "gyro_radps, accel_x_mps2, accel_y_mps2: not in the file, taken as never measured",
         "gps_x_m, gps_y_m: 1064 of 2354 fixes repeat the last one, taken as no new sample "
         "(longest gap 0.2 s at t = 81.3 s)",
         "gps_vx_mps, gps_vy_mps: 1064 of 2354 velocities of repeated fixes repeat the last one, "

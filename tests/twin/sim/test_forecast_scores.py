@@ -16,6 +16,7 @@ from twin.sim.bridge import particulars_of
 from twin.sim.forecast_scores import HORIZONS, NAMES, ForecastScores, pooled
 from twin.sim.wrapper import log_of, make_env, make_vector_env
 from usv_gym import Fault
+from usv_gym.world.faults import FaultWarning
 from usv_kernel.errors import UsvTwinError
 
 LOSS = 12.0, 17.0
@@ -146,6 +147,14 @@ def test_a_twin_that_the_agent_does_not_see_is_graded(observation):
     assert "twin_forecast" not in scores[1]
     assert scores[0]["twin_forecast"] == scores[2]["twin_forecast"]
     np.testing.assert_array_equal(unseen.step(np.zeros(2))[0], alone.step(np.zeros(2))[0])
+
+
+@pytest.mark.parametrize("options", [{}, {"suite": "best"}])
+def test_the_loss_of_a_sensor_that_is_not_there_is_none(options):
+    faults = [Fault("ahrs", 12.0, 8.0), *([Fault("wind", 12.0, 8.0)] if not options else [])]
+    with pytest.warns(FaultWarning):
+        env = make_env(twin="ukf", task="free", faults=faults, **options)
+    assert sail(env, 420)["twin_forecast"]["n_loss"] == 0
 
 
 def test_steps_that_do_not_divide_a_second_are_graded_too():

@@ -42,6 +42,7 @@ def test_texts_are_values_with_times(text: str | float, expected: tuple) -> None
         ("0.3@1@2", "write one number"),
         ("0.3@60,0.9@0", "times must rise, but 0 s follows 60 s"),
         ("0.3@5,0.9@5", "times must rise"),
+        ("0.3@-5,0.9@5", "times begin at 0 s, but -5 s is given"),
         ("nan", "is not finite"),
         ("0.3@inf", "is not finite"),
     ],

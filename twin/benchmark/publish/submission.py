@@ -10,6 +10,7 @@ import dataclasses
 import gzip
 import hashlib
 import json
+import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -255,9 +256,8 @@ def _check_sample(
             except Exception as error:  # of a user's predictor
                 text = f"{name}: {type(error).__name__}: {error}"
                 return Finding("computed again", False, text)
-            parts = ("plans", "start_error", "motion")
-            made = json.loads(json.dumps({key: again.get(key) for key in parts}))
-            change = _difference(made, {key: done[unit].get(key) for key in parts})
+            made = json.loads(json.dumps({key: again[key] for key in again if key != "unit"}))
+            change = _difference(made, {key: done[unit].get(key) for key in made})
             if change > SAME:
                 return Finding(
                     "computed again", False, f"{name}: differs by {100.0 * change:.3g} % from here"
@@ -271,7 +271,10 @@ def _check_sample(
 
 
 def _difference(one: Any, other: Any) -> float:
-    """Return the largest relative difference of the numbers in two tables; inf for other forms."""
+    """Return the largest relative difference of the numbers in two tables.
+
+    It is inf where one has another form, or a NaN where the other has a number.
+    """
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
             return float("inf")
@@ -281,5 +284,7 @@ def _difference(one: Any, other: Any) -> float:
             return float("inf")
         return max((_difference(a, b) for a, b in zip(one, other, strict=True)), default=0.0)
     if isinstance(one, float) and isinstance(other, (int, float)):
+        if math.isnan(one) or math.isnan(other):
+            return 0.0 if math.isnan(one) and math.isnan(other) else float("inf")
         return abs(one - other) / max(abs(one), abs(other), 1e-6)
     return 0.0 if one == other else float("inf")

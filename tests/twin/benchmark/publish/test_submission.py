@@ -105,6 +105,32 @@ def test_an_edited_result_is_found(copy):
     assert "differs by 10 % from here" in found["computed again"].text
 
 
+def test_a_forged_end_of_a_loss_is_found(tmp_path):
+    settings = dataclasses.replace(SETTINGS, faults=("gps5",), seeds=(0,))
+    done = bench.runs(settings, tmp_path)
+    for unit, _ in done:
+        path = bench.result_file(tmp_path, unit)
+        key = read_json(path, BenchmarkError)["key"]
+        result = kept(path, key)
+        result["loss_ends"][0]["error_m"] *= 0.1
+        keep(path, key, result)
+    results = bench.collect(settings, bench.reusable(settings, tmp_path), "test")
+    (tmp_path / "results.json").write_text(results_text(results))
+    found = findings(tmp_path)
+    assert found["tables"].passed and found["computed again"].passed is False
+
+
+@pytest.mark.parametrize("part", ["summary", "verdict"])
+def test_nan_in_a_table_is_found(copy, part):
+    def spoilt(results):
+        row = results[part][0]
+        row[next(key for key, value in row.items() if isinstance(value, float))] = float("nan")
+
+    changed(copy, spoilt)
+    found = findings(copy, sample=0)
+    assert found["tables"].passed is False and part in found["tables"].text
+
+
 def test_a_seed_that_is_missing_or_damaged_is_found(copy):
     unit = units(SETTINGS)[-1]
     bench.result_file(copy, unit).write_text("{}")
