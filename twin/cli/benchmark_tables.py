@@ -52,10 +52,10 @@ def print_verdict(results: dict[str, Any]) -> None:
         if log["repairs"]:
             parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")
         if log["skipped"]:
-            parts.append(f"{log['skipped']} predictions not scored, in gaps")
+            parts.append(f"{log['skipped']} prediction(s) not scored, in gaps")
         if log.get("left_out"):
             parts.append(
-                f"{log['left_out']} predictions not scored, past the last recorded command at "
+                f"{log['left_out']} prediction(s) not scored, past the last recorded command at "
                 f"t = {log['end_s']:.1f} s"
             )
         if parts:
