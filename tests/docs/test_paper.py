@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from twin.benchmark.paper.findings import findings
 from twin.benchmark.paper.rows import PaperRow
 from twin.benchmark.verdict.tables import number
 from twin.predictors.registry import predictor_class
@@ -94,3 +95,11 @@ def test_table_4_is_that_of_the_results():
             row = rows[scenario, fault or "none", line[0].strip("`"), "MAE"]
             text = f"{number(row.ours)} [{number(row.low)}, {number(row.high)}]"
             assert cell == (text if row.paper is None else f"{text} / {number(row.paper)}")
+
+
+def test_sentences_are_those_of_the_results():
+    """The first, on the order of Table 4, needs the runs, too."""
+    sentences = findings([row for row in ROWS if row.table == "Algorithm 1"], [])
+    assert len(sentences) == 2
+    for sentence in sentences:
+        assert f"- {sentence}\n" in PAGE

@@ -165,14 +165,14 @@ COLOURS = {
 
 
 def pictures(results: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Draw distances off the path, shares of the gap, and learning curves."""
+    """Draw distances off the path, shares of the gap if an arm closes some, and learning curves."""
     import matplotlib.pyplot as plt
 
-    drawn = {
-        "off_path.png": _draw_cells(results),
-        "gap.png": _draw_gaps(results),
-        "curves.png": _draw_curves(results),
-    }
+    drawn = {"off_path.png": _draw_cells(results), "curves.png": _draw_curves(results)}
+    if any(gap["metric"] == "off_path_m" for gap in results["gaps"]):
+        drawn["gap.png"] = _draw_gaps(results)
+    else:
+        (folder / "gap.png").unlink(missing_ok=True)  # of other arms in the same folder
     for name, figure in drawn.items():
         with replacing(folder / name) as partial:
             figure.savefig(partial, dpi=130)

@@ -20,6 +20,7 @@ from twin.benchmark.figures import (
     parameter_figure,
     prediction_figure,
     predictor_styles,
+    recorded_figure,
     reliability_figure,
     track_figure,
     trend_figure,
@@ -37,7 +38,7 @@ from twin.benchmark.figures.drawing import Picture, Pictures
 from twin.benchmark.figures.style import Styles
 from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.svg import FONTS, sheet_of
-from twin.benchmark.verdict.summary import sentence_of
+from twin.benchmark.verdict.summary import recorded_blocks, sentence_of
 from twin.benchmark.verdict.tables import (
     Cell,
     Grid,
@@ -433,9 +434,29 @@ def _first_pictures(
         )
         draw = functools.partial(verdict_figure, rows, styles)
         shown.append(pictures.add(draw, "verdict", caption))
+    elif blocks := _with_ratios(results):
+        caption = (
+            "Root mean square errors after 10 s over those of persistence: mean over runs, and "
+            "where there are enough of them an interval of 95 %. Where an arrow head cuts a bar, "
+            "its number counts."
+        )
+        draw = functools.partial(recorded_figure, blocks, styles)
+        shown.append(pictures.add(draw, "recorded_verdict", caption))
     if run is not None:
         shown.append(_track(run, pictures, styles))
     return shown
+
+
+def _with_ratios(results: Row) -> dict[str, Any]:
+    """Return the tables of the first folder of recorded runs, if persistence took part there."""
+    blocks = recorded_blocks(results)
+    folder = next((row["folder"] for row in results.get("recorded") or []), None)
+    return {
+        title: block
+        for title, block in blocks.items()
+        for row in [next(iter(block.values()))["psi"]]
+        if row["folder"] == folder and row.get("ratio") is not None
+    }
 
 
 def _reliability(results: Row, pictures: Pictures) -> list[Picture]:

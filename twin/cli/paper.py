@@ -154,11 +154,12 @@ def print_paper(rows: list[PaperRow], sentences: list[str]) -> None:
             table.add_row(name, *cells)
         console.print(table)
     if cases:
+        bounded = any(row.low is not None for row in rows)
         explain(
-            "Mean over seeds [95 % interval], units mixed as in the paper, whose boat and sea are "
-            "others: compare the order. dsw-ukf stands beside the paper's DSW-UKF, window=off "
-            "beside its UKF, all else equal. Tables 2 and 3, the figures and the window over time "
-            "are on the page."
+            f"Mean over seeds{' [95 % interval]' if bounded else ''}, units mixed as in the paper, "
+            "whose boat and sea are others: compare the order. dsw-ukf stands beside the paper's "
+            "DSW-UKF, window=off beside its UKF, all else equal. Tables 2 and 3, the figures and "
+            "the window over time are on the page."
         )
     for sentence in sentences:
         console.print(sentence, highlight=False, soft_wrap=True)

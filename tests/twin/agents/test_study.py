@@ -129,6 +129,16 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     assert {row["verdict"] for row in results["helps"]} == {"harms"}
 
 
+def test_without_a_gap_to_show_there_is_no_picture_of_it(tmp_path):
+    alone = dataclasses.replace(TINY, arms=(("ppo", "twin"),))
+    levels = {"twin": (2.0, 3.0), "idle": (9.0, 9.0)}
+    results = study.collect(alone, made(levels, alone), "a command")
+    (tmp_path / "gap.png").touch()  # of an earlier study
+    written = study_report.pictures(results, tmp_path)
+    assert {path.name for path in written} == {"off_path.png", "curves.png"}
+    assert set(tmp_path.iterdir()) == set(written)
+
+
 def test_every_observation_set_has_a_colour_of_its_own():
     assert set(study_report.COLOURS) == set(OBSERVATIONS)
     assert len(set(study_report.COLOURS.values())) == len(OBSERVATIONS)

@@ -27,6 +27,7 @@ from twin.benchmark.paper.experiment import (
     traced_units,
     traces,
 )
+from twin.benchmark.paper.figures import _number
 from twin.benchmark.paper.findings import Contest, findings
 from twin.benchmark.paper.published import TABLE_4, TABLES
 from twin.benchmark.paper.rows import PaperRow, paper_rows, window_shares
@@ -200,6 +201,7 @@ def test_order_of_table_4_follows_from_the_errors():
     both += table_4({"dsw-ukf:printed": 0.3, "dsw-ukf:printed,window=off": 0.2})
     said = findings(both, [Contest("turn", "none", "dsw-ukf", -50.0, None, None, 1, 1)])[0]
     assert "(DSW-UKF before UKF) reproduces in part" in said and "LSTM" not in said
+    assert said.endswith("changes the MAE by -50 to -50 %.")  # too few seeds for an interval
 
 
 def test_sentences_on_index_and_cap_follow_from_the_window():
@@ -216,11 +218,26 @@ def test_sentences_on_index_and_cap_follow_from_the_window():
         "is inert" in environment and "0.1 rows" in environment and "0 % of the time" in environment
     )
     assert "sits at its cap of 30 rows" in cap and "90 % of the time as mended" in cap
+    assert "the median of its index S is 700, where 2.5 is enough" in cap
+    two = algorithm(inert) + algorithm({**inert, "S, median": 90.0}, "dsw-ukf:printed")
+    assert "index S is 90.0 to 700, by manoeuvre and form" in findings(two, [])[1]
     acts = {**inert, "rows that V adds, mean": 4.0, "V changes W, share of time": 0.3}
     environment, cap = findings(algorithm({**acts, "W at its cap, share of time": 0.1}), [])
     assert " acts " in environment and "up to 30.0 %" in environment
     assert "moves between base and cap of 30 rows" in cap
     assert findings([], []) == []
+
+
+@pytest.mark.parametrize("limits", [(0.235, 0.33), (0.01, 60.0), (2.0, 3100.0), (1e-4, 1e5)])
+def test_logarithmic_axes_have_few_plain_numbers(limits):
+    from matplotlib.figure import Figure
+
+    ax = Figure().add_subplot(xscale="log", xlim=limits)
+    _number(ax.xaxis)
+    low, high = limits
+    shown = [label.get_text() for label in ax.get_xticklabels()]
+    assert 3 <= len(shown) <= 5 and "" not in shown
+    assert all(low <= float(text) <= high for text in shown)
 
 
 class Tags(HTMLParser):
@@ -292,6 +309,8 @@ def test_command_writes_page_and_rows_and_goes_on(short, tmp_path, monkeypatch):
     assert tags.count["table"] == 6 and "script" not in tags.count
     for text in ("Table 2", "Figure 9", "Figure 12", "Algorithm 1", "paper 0.159"):
         assert text in page
+    for text in (page, said):  # one seed has no interval
+        assert "95 % interval" not in text and "95 % bootstrap" not in text
 
 
 def test_command_names_wrong_seeds():

@@ -428,6 +428,33 @@ def test_recorded_run_without_truth(tmp_path):
     assert len(files) == 1 + 1 + 1 + 2
 
 
+def test_a_report_of_recorded_runs_begins_with_table_bars_and_track(tmp_path):
+    log = sail(truth=False)
+    recorded = [
+        {
+            **{"folder": "lake", "fault": fault, "plan": "known", "channel": channel, "runs": 3},
+            **{"predictor": name, "error": 1.0, "ratio": ratio, "low": 0.9 * ratio},
+            "high": 1.1 * ratio,
+        }
+        for fault in ("none", "gps10")
+        for name, ratio in (("persistence", 1.0), ("ukf", 0.5), ("var", 3.0))
+        for channel in ("displacement", "psi")
+    ]
+    styled = results(("persistence", "ukf", "var"), recorded=recorded)
+    files = write_report(tmp_path, styled, [run(log, {"ukf": figure(log, model=0)})])
+    assert "recorded_verdict" in {path.stem for path in files[1:]}
+    text = page(files)
+    order = ("<h3>lake, 3 runs, no loss", 'aria-label="Root mean', 'aria-label="Turn', "<details")
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    # persistence took no part: there is nothing to compare with
+    bare = [{key: row[key] for key in row if key != "ratio"} for row in recorded]
+    for row in bare:
+        row.pop("low"), row.pop("high")
+    files = write_report(tmp_path, styled | {"recorded": bare}, [])
+    assert "recorded_verdict" not in {path.stem for path in files[1:]}
+
+
 def test_a_predictor_may_lack_what_others_have(tmp_path):
     log = sail()
     empty = PredictorFigure([], np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))

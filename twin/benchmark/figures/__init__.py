@@ -4,7 +4,7 @@ Nothing here computes a result. matplotlib is imported when the first picture is
 through pyplot: neither an import nor a picture changes anything for the caller.
 """
 
-from twin.benchmark.figures.bars import verdict_figure
+from twin.benchmark.figures.bars import recorded_figure, verdict_figure
 from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
 from twin.benchmark.figures.deck import deck_figure, reliability_figure
 from twin.benchmark.figures.errors import error_figure
@@ -24,6 +24,7 @@ __all__ = [
     "picture_of_log",
     "prediction_figure",
     "predictor_styles",
+    "recorded_figure",
     "reliability_figure",
     "track_figure",
     "trend_figure",

@@ -8,15 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 from twin.benchmark.figures.data import number_of, text_of
 from twin.benchmark.figures.style import BLACK, WIDTH, Styles, new_figure, patch, set_title
+from twin.benchmark.verdict.summary import best_first
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["verdict_figure"]
+__all__ = ["recorded_figure", "verdict_figure"]
 
 PANELS = {"position_m": "position after 10 s (m)", "heading_deg": "heading after 10 s (deg)"}
 """Title of each panel."""
+
+RATIOS = {
+    "displacement": "position after 10 s (ratio to persistence)",
+    "psi": "heading after 10 s (ratio to persistence)",
+}
+"""Title of each panel of recorded runs."""
 
 SHADES = {"none": ("without a loss", 0.95), "any": ("with a loss", 0.45), "all": ("all runs", 0.95)}
 """Label and opacity of the bars."""
@@ -33,6 +40,33 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     ``rows`` are those of ``results["verdict"]``. A bar that is longer than the panel, which shows
     persistence in full, is cut and has an arrow head; its number counts.
     """
+    return _bars(rows, styles, PANELS, "mean over scenarios and boats, 95 % intervals")
+
+
+def recorded_figure(
+    blocks: Mapping[str, Mapping[str, Mapping[str, Row]]], styles: Styles
+) -> Figure:
+    """Draw the ratios of recorded runs to persistence, with 95 % intervals over runs.
+
+    ``blocks`` are those of one folder, from
+    :func:`twin.benchmark.verdict.summary.recorded_blocks`: without a loss and with one.
+    """
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for block in blocks.values():
+        for name in best_first(block):
+            for channel in RATIOS:
+                row = block[name][channel]
+                loss = "none" if row["fault"] == "none" else "any"
+                ends = {f"{channel}_{end}": row.get(end) for end in ("low", "high")}
+                found = rows.setdefault((name, loss), {"predictor": name, "loss": loss})
+                found |= {channel: row.get("ratio"), **ends}
+    bounded = any(number_of(row, "psi_low") > 0.0 for row in rows.values())
+    about = f"{row['folder']}, mean over runs{', 95 % intervals' if bounded else ''}"
+    return _bars(list(rows.values()), styles, RATIOS, about)
+
+
+def _bars(rows: Sequence[Row], styles: Styles, panels: Mapping[str, str], about: str) -> Figure:
+    """Draw a panel for each error, and a bar in it for each predictor and loss."""
     names = list(dict.fromkeys(text_of(row, "predictor") for row in rows))
     there = {text_of(row, "loss") for row in rows}
     losses: list[str] = [loss for loss in ("none", "any") if loss in there] or ["all"]
@@ -41,12 +75,12 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     height = 2.0 * (LINE * len(names) + 0.7)
     fig, axes = new_figure(
         "Errors after 10 s",
-        "mean over scenarios and boats, 95 % intervals",
+        about,
         entries,
-        [[panel] for panel in PANELS],
+        [[panel] for panel in panels],
         (WIDTH, height),
     )
-    for panel, title in PANELS.items():
+    for panel, title in panels.items():
         ax = axes[panel]
         set_title(ax, title)
         limit = _limit(rows, panel)

@@ -10,6 +10,7 @@ import numpy as np
 from twin.benchmark.figures.style import (
     BLACK,
     DASHED,
+    GREY,
     WIDTH,
     Styles,
     dots,
@@ -20,16 +21,22 @@ from twin.benchmark.figures.style import (
     set_title,
 )
 from twin.benchmark.paper.experiment import Trace
+from twin.benchmark.paper.findings import CAP_INDEX
 from twin.benchmark.paper.rows import PaperRow
 from twin.identification.dynamic_window import GAMMA_ENVIRONMENT
 
 if TYPE_CHECKING:
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
     "table_figure",
     "window_figure",
 ]
+
+
+MOST = 5
+"""Of more numbers at a logarithmic axis, some would touch."""
 
 
 def table_figure(rows: Sequence[PaperRow], metric: str, styles: Styles) -> Figure:
@@ -47,17 +54,18 @@ def table_figure(rows: Sequence[PaperRow], metric: str, styles: Styles) -> Figur
     shown = [row for row in rows if row.metric == metric]
     cases = list(dict.fromkeys((row.scenario, row.fault) for row in shown))
     names = list(dict.fromkeys(row.predictor for row in shown))
-    entries = [(dots(BLACK, "o"), "here, 95 % interval"), (dots(BLACK, "D", "none"), "the paper")]
+    here = "here, 95 % interval" if any(row.low is not None for row in shown) else "here"
+    entries = [(dots(BLACK, "o"), here), (dots(BLACK, "D", "none"), "the paper")]
     mosaic = [[f"{scenario} {fault}"] for scenario, fault in cases]
     size = (WIDTH, (0.2 * len(names) + 0.45) * len(cases) + 0.2)
     fig, axes = new_figure(f"Table 4: {metric}", "units mixed", entries, mosaic, size)
     for (scenario, fault), ax in zip(cases, axes.values(), strict=True):
         set_title(ax, f"{scenario}, {'no fault' if fault == 'none' else fault}")
-        here = {
+        found = {
             row.predictor: row for row in shown if (row.scenario, row.fault) == (scenario, fault)
         }
         for k, name in enumerate(names):
-            if (row := here.get(name)) is None:
+            if (row := found.get(name)) is None:
                 continue
             if row.low is not None and row.high is not None:
                 ax.plot([row.low, row.high], [k, k], color=styles[name][0], lw=2.0, zorder=2)
@@ -67,16 +75,30 @@ def table_figure(rows: Sequence[PaperRow], metric: str, styles: Styles) -> Figur
         ax.set_yticks(range(len(names)), names, fontsize=8.5)
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.set_xscale("log")
-        _plain_ticks(ax)
+        _number(ax.xaxis)
     return fig
 
 
-def _plain_ticks(ax: object) -> None:
-    """Label a logarithmic axis with plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def _number(axis: Axis) -> None:
+    """Label a logarithmic axis with three to five plain numbers, whatever its range."""
+    from matplotlib.ticker import (
+        FixedLocator,
+        FuncFormatter,
+        LogLocator,
+        MaxNLocator,
+        NullFormatter,
+    )
 
-    axis = ax.xaxis  # type: ignore[attr-defined]
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = axis.get_view_interval()
+    ticks: list[float] = []
+    for locator in (
+        *(LogLocator(subs=subs, numticks=99) for subs in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0))),
+        MaxNLocator(4, steps=[1, 2, 5, 10]),
+    ):
+        ticks = [tick for tick in locator.tick_values(low, high) if low <= tick <= high]
+        if len(ticks) > 2:
+            break
+    axis.set_major_locator(FixedLocator(ticks[:: -(-len(ticks) // MOST)]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -97,7 +119,11 @@ def window_figure(
     identified : float
         Time of the first prediction, s.
     """
-    entries = [*predictor_entries(traced, styles), (line(BLACK, DASHED, 1.0), "first prediction")]
+    entries = [
+        *predictor_entries(traced, styles),
+        (line(BLACK, DASHED, 1.0), "first prediction"),
+        (line(GREY, "-", 1.0), f"S = {CAP_INDEX:g}: W at its cap"),
+    ]
     panels = {
         "W": "length of the window W (rows)",
         "V": "rows that the environment index V adds",
@@ -120,7 +146,9 @@ def window_figure(
         ax.axvline(identified, color=BLACK, ls=DASHED, lw=1.0)
         ax.set_xlim(traced[next(iter(traced))].t[0], max(part.t[-1] for part in traced.values()))
         if panel == "S":
+            ax.axhline(CAP_INDEX, color=GREY, lw=1.0)
             ax.set_yscale("log")
+            _number(ax.yaxis)
             ax.set_xlabel("time (s)", fontsize=10)
         else:
             set_ticks(ax, 6, 4, None)

@@ -11,6 +11,7 @@ import numpy as np
 from twin.benchmark.metrics import compare
 from twin.benchmark.paper.experiment import WITHOUT_WINDOW
 from twin.benchmark.paper.rows import PaperRow
+from twin.benchmark.verdict.tables import number
 from twin.identification.dynamic_window import GAMMA_NONLINEARITY
 
 __all__ = [
@@ -119,13 +120,15 @@ def _order(rows: Sequence[PaperRow], found: Sequence[Contest]) -> str:
         and (contest.high < 0.0 or contest.low > 0.0)
         for contest in found
     )
+    with_intervals = any(contest.low is not None for contest in found)
+    among = f", in {sure} of {len(found)} cases with a 95 % interval without zero"
     order = f"DSW-UKF before UKF{' before LSTM' if with_lstm else ''}"
     verdict = _verdict(sum(map(all, pairs)) / len(pairs))
     return (
         f"The order of Table 4 ({order}) {verdict}: it holds in {' and '.join(counts)}. Of all "
         f"{len(pairs)}, DSW-UKF is before UKF in {first}{lstm}; the window alone, all else equal, "
-        f"changes the MAE by {min(changes):+.0f} to {max(changes):+.0f} %, in {sure} of "
-        f"{len(found)} cases with a 95 % interval without zero."
+        f"changes the MAE by {min(changes):+.0f} to {max(changes):+.0f} %"
+        f"{among if with_intervals else ''}."
     )
 
 
@@ -177,5 +180,13 @@ def _cap(rows: Sequence[PaperRow]) -> str:
     medians = [v for values in _values(rows, "S, median").values() for v in values]
     return (
         f"The dynamic window {verdict} of {max(caps):.0f} rows: it is there {' and '.join(parts)}, "
-        f"as its index S has a median of {np.median(medians):.0f}, where {CAP_INDEX:g} is enough."
+        f"as the median of its index S is {_range(medians)}, where {CAP_INDEX:g} is enough."
     )
+
+
+def _range(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of values, as the page's tables print them."""
+    low, high = number(min(values)), number(max(values))
+    if low == high:
+        return low
+    return f"{low} to {high}, by manoeuvre and form of the method"

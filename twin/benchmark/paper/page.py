@@ -91,11 +91,13 @@ def write_page(path: Path, results: PaperResults) -> Path:
     names = list(dict.fromkeys(row.predictor for row in results.rows))
     styles, gallery = predictor_styles(names), _Gallery()
     identified = float(results.settings["identify_s"])
+    intervals = any(row.low is not None for row in results.rows)
+    with_interval = " with its 95 % interval" if intervals else ""
     table_4 = [row for row in results.rows if row.table == "Table 4"]
     pictures = [
         gallery.picture(
             table_figure(table_4, metric, styles),
-            f"{metric} of 10 s forecasts, mean over seeds with its 95 % interval, and the paper's "
+            f"{metric} of 10 s forecasts, mean over seeds{with_interval}, and the paper's "
             "numbers. Its boat and sea are others, so that only the order can be compared.",
         )
         for metric in ("MAE", "MSE")
@@ -105,6 +107,7 @@ def write_page(path: Path, results: PaperResults) -> Path:
         "findings": results.findings,
         "command": results.command,
         "notes": results.notes,
+        "intervals": intervals,
         "settings": results.settings,
         "table_4": _table_4_grid(results.rows),
         "table_4_pictures": pictures,

@@ -40,6 +40,9 @@ IDEAL = {"coverage90": 0.9}
 
 LARGEST = ("skill",)
 
+FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}"
+"""Scales a table down to the width of the text, and none up."""
+
 CSV_COLUMNS = (
     *("scenario", "case", "fault", "sea", "grade", "plan", "predictor", "metric", "unit"),
     *("value", "low", "high", "median", "runs", "best"),
@@ -132,8 +135,9 @@ def csv_text(results: Row) -> str:
 def latex_text(results: Row) -> str:
     """Return a LaTeX table for each run and case, and one for each folder of recorded runs.
 
-    They need the package ``booktabs``. Below each mean stands its 95 % interval over seeds; the
-    best value of a column is bold, the oracle left out.
+    They need the packages ``booktabs`` and ``graphicx``; what is wider than the text is scaled to
+    it. Below each mean stands its 95 % interval over seeds; the best value of a column is bold, the
+    oracle left out.
 
     Parameters
     ----------
@@ -144,7 +148,7 @@ def latex_text(results: Row) -> str:
     tables = [
         f"% usv-twin {results.get('version', '')}, sources {program}\n"
         f"% {_one_line(results.get('command', ''))}\n"
-        "% needs \\usepackage{booktabs}\n"
+        "% needs \\usepackage{booktabs,graphicx}\n"
     ]
     count = _runs(results)
     summary = results.get("summary") or []
@@ -154,7 +158,7 @@ def latex_text(results: Row) -> str:
         has = "each with its 95\\,\\% interval; " if any(r["low"] is not None for r in rows) else ""
         loss = "" if case == "none" else f", case {_escaped(case)}"
         caption = (
-            f"{_escaped(scenario)}{loss}, future commands {_escaped(plan)}: errors of position "
+            f"{_escaped(scenario)}{loss}, {_planned(plan)}: errors of position "
             f"and heading after 10\\,s, pooled MAE and MSE, {over}, {has}best in bold."
         )
         names = {row["predictor"] for row in rows}
@@ -168,7 +172,7 @@ def latex_text(results: Row) -> str:
         runs = max(row["runs"] for row in rows)
         loss = "" if fault == "none" else f", loss {_escaped(fault)}"
         caption = (
-            f"Recorded runs of {_escaped(folder)}{loss}, future commands {_escaped(plan)}: RMSE "
+            f"Recorded runs of {_escaped(folder)}{loss}, {_planned(plan)}: RMSE "
             f"after 10\\,s over that of persistence, mean over {runs} "
             f"run{'s' if runs > 1 else ''}, best in bold."
         )
@@ -209,11 +213,13 @@ def _latex_table(
     heads = " & ".join(head for head, _factor in metrics.values())
     body = "\n".join(lines)
     return (
-        "\\begin{table}\n\\centering\n\\small\n"
-        f"\\caption{{{caption}}}\n\\label{{tab:{_label(label)}}}\n"
+        "\\begin{table}\n\\centering\n\\footnotesize\n\\setlength{\\tabcolsep}{3pt}\n"
+        # article has no space below a caption
+        "\\setlength{\\belowcaptionskip}{6pt}\n"
+        f"\\caption{{{caption}}}\n\\label{{tab:{_label(label)}}}\n{FITTED}{{%\n"
         f"\\begin{{tabular}}{{l{'r' * len(metrics)}}}\n\\toprule\n"
         f"predictor & {heads} \\\\\n\\midrule\n{body}\n\\bottomrule\n"
-        "\\end{tabular}\n\\end{table}\n"
+        "\\end{tabular}}\n\\end{table}\n"
     )
 
 
@@ -221,6 +227,11 @@ _SPECIAL = {
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
 }
+
+
+def _planned(plan: str) -> str:
+    """Return what is known of the future commands, for a caption."""
+    return f"future commands {_escaped({'hold': 'held'}.get(plan, plan))}"
 
 
 def _escaped(text: str) -> str:

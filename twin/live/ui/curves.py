@@ -50,12 +50,16 @@ AHEAD = 61
 WIDTH = 350
 """Of the panel, pixels."""
 
+STYLE = "<style>.uplot { width: 100% !important; }</style>"
+"""A curve begins 0 pixels wide, and grows: its title and legend have their place from the begin."""
+
 
 class Curves:
     """The panel on the right: how well the twin does, and what it makes of the boat."""
 
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self.gui, self.session = server.gui, session
+        self.style = server.gui.add_html(STYLE)
         self.panel = server.gui.add_panel()
         with self.panel.add_tab("Prediction"):
             self.error = self._curve(
@@ -110,6 +114,7 @@ class Curves:
 
     def remove(self) -> None:
         """Take the panel away, for that of another twin."""
+        self.style.remove()
         self.panel.remove()
 
     def show(self) -> None:
@@ -174,8 +179,12 @@ class Curves:
 
     @staticmethod
     def _draw(handle: Any, t: Array, *values: Array) -> None:
-        """Draw what is known; of nothing, an empty plot."""
+        """Draw what is known; of less than a line, an empty plot."""
         rows = np.isfinite(np.stack(values)).any(axis=0)
+        if rows.sum() < 2:
+            # viser scales time by its old range: without one, it would show nothing ever after
+            handle.data = (t[[0, -1]], *(np.full(2, math.nan) for _ in values))
+            return
         # the browser cannot draw NaN: gaps of a curve are interpolated
         handle.data = (t[rows], *(padded(value[rows]) for value in values))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
+import shutil
+import subprocess
 
 import pytest
 
@@ -66,6 +68,28 @@ def test_latex_is_balanced_and_each_line_has_all_columns():
         for line in body.splitlines():
             if line.endswith(r"\\"):
                 assert line.count(" & ") == len(columns) - 1
+
+
+def test_latex_says_held_and_compiles_without_overfull_boxes(tmp_path):
+    given = results()
+    given["summary"] += [{**row, "plan": "hold"} for row in given["summary"]]
+    given["summary"] += [
+        {**row, "metric": metric}
+        for metric in ("displacement_10s", "mse", "J")
+        for row in given["summary"]
+        if row["metric"] == "mae"
+    ]
+    text = latex_text(given)
+    assert "commands held:" in text and "commands known:" in text and "commands hold" not in text
+    if shutil.which("pdflatex") is None:
+        pytest.skip("needs pdflatex")
+    (tmp_path / "page.tex").write_text(
+        "\\documentclass{article}\n\\usepackage{booktabs,graphicx}\n"
+        f"\\begin{{document}}\n{text}\\end{{document}}\n"
+    )
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert "Overfull" not in (tmp_path / "page.log").read_text(errors="replace")
 
 
 def test_csv_has_every_value_with_its_interval():
