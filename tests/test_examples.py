@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 STUDY_PAGE = (ROOT / "docs/explanation/study.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-OPTIONAL = {"05_rllib.py"}  # tests/twin/agents/test_ray.py runs it, where Ray RLlib is installed
+# run by tests/twin/agents/test_ray.py and tests/twin/live/external/test_mission_example.py
+OPTIONAL = {"05_rllib.py", "07_ardurover_mission.py"}
 EXAMPLES = [p for p in sorted((ROOT / "examples").glob("*.py")) if p.name not in OPTIONAL]
 
 
