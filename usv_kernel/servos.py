@@ -125,7 +125,7 @@ class Servos:
         return [known.get(name, 0.0) for name in OUTPUT_COMMANDS]
 
     def drives(self, widths: Sequence[int], dead: float = 10.0) -> bool:
-        """Return whether a throttle is further than ``dead`` us from its rest, and all have a pulse.
+        """Return whether all throttles have a pulse, and one is over ``dead`` us from its rest.
 
         An autopilot that starts gives pulses before it knows its outputs. ArduRover begins with
         1000 us at output 1 and none at the others, for two hundredths of a second.
