@@ -125,12 +125,14 @@ class Servos:
         return [known.get(name, 0.0) for name in OUTPUT_COMMANDS]
 
     def drives(self, widths: Sequence[int], dead: float = 10.0) -> bool:
-        """Return whether a throttle is further than ``dead`` us from its rest."""
-        return any(
-            0 < widths[output - 1] < UNUSED and abs(widths[output - 1] - self.middle) > dead
-            for output in (self.left, self.right)
-            if output <= len(widths)
-        )
+        """Return whether all throttles have a pulse, and one is over ``dead`` us from its rest.
+
+        An autopilot that starts gives pulses before it knows its outputs. ArduRover begins with
+        1000 us at output 1 and none at the others, for two hundredths of a second.
+        """
+        throttles = [widths[k - 1] for k in (self.left, self.right) if k <= len(widths)]
+        pulses = all(0 < width < UNUSED for width in throttles)
+        return pulses and any(abs(width - self.middle) > dead for width in throttles)
 
     def widths(self, cmd: Iterable[float]) -> list[int]:
         """Return the pulse widths, us, of 16 outputs for a command; of two sides, their mean."""

@@ -76,9 +76,8 @@ COLUMNS = 20
 fitted, actuators then (4) and half a step later (4)."""
 
 
-NONE, OTHER, FIRST = range(3)
-"""The parameters of the joint filter are no candidate, one of them, or in use until another has
-proved better."""
+NONE, FIRST = range(2)
+"""The joint filter's parameters are no candidate, or in use until another has proved better."""
 
 SPAN_MAX = 3600.0
 """Longest window, s."""
@@ -141,7 +140,7 @@ class RefitConfig(NamedTuple):
     relinearised: int  # segments that a refit relinearises
     spacing: int  # rows between starts of segments
     span: int  # rows of the window
-    joint: int  # what the parameters of the joint filter are: NONE, OTHER or FIRST
+    joint: int  # what the parameters of the joint filter are: NONE or FIRST
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed

@@ -34,7 +34,7 @@ from twin.filters.linalg import cholesky
 from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.joint_ukf import JointUKF, coarse_plan
-from twin.identification.prediction_error import COLUMNS, FIRST, NONE, OTHER, RefitSettings
+from twin.identification.prediction_error import COLUMNS, FIRST, NONE, RefitSettings
 from twin.identification.segments import SEGMENT_FIELDS, Segments
 from twin.identification.wave_residual import FACTOR
 from twin.model.dynamics import model_of
@@ -103,16 +103,15 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
 
 
 def joint_candidate(particulars: Particulars) -> int:
-    """Return what the joint filter's parameters are to the refit: NONE, OTHER or FIRST.
+    """Return what the joint filter's parameters are to the refit: NONE or FIRST.
 
     What disturbs some boats adds up in their motion, as gusts and model errors do. There the joint
-    filter's process noise is the right likelihood. So it is for ships in tanks and on ponds, and it
-    may be for boats of which no population says how they move. A fast boat at sea is moved to and
-    fro by its waves, and the refit, which allows for them, is better.
+    filter's process noise is the right likelihood. So it is for ships in tanks and on ponds, and
+    for boats of which no population says how they move: a refit that trusts their prior has
+    learned little of thrust, drag and current when the GPS is lost. A fast boat at sea is moved to
+    and fro by its waves, and the refit, which allows for them, is better.
     """
-    if particulars.tanker:
-        return FIRST
-    return OTHER if particulars.steering == "differential" else NONE
+    return FIRST if particulars.tanker or particulars.steering == "differential" else NONE
 
 
 def joint_settings(filters: FilterSettings, particulars: Particulars) -> FilterSettings:

@@ -75,8 +75,8 @@ AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
 
 MODEL_DRIFT, LASTING_SHARE = 0.02, 0.25
-"""Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least; and the
-share of the variance of a rough model's own velocity that does."""
+"""Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
+of the variance of a rough model's own velocity does, of no more than the fastest seen."""
 
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
@@ -85,8 +85,8 @@ OUTAGE_NOISE_FACTOR = 400.0
 """Factor of the velocity's measurement noise without GPS, as its errors last from row to row."""
 
 RESTART_AFTER = 4.0
-"""After so long without GPS (in lengths over nominal speed) the state restarts with the next
-fix; the parameters stay ..."""
+"""Time without GPS, in lengths over nominal speed, after which the state begins with the next fix
+again; the parameters stay ..."""
 
 DOUBTED = 0.1
 """Standard deviation of velocities under doubted commands, in envelopes."""
@@ -281,8 +281,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
-    scratch = filter_workspace(work.filter, model.which.shape[1])
-    x, P = state.x, state.P
+    scratch, x, P = filter_workspace(work.filter, model.which.shape[1]), state.x, state.P
     update_wind(z, state.wind)
     _accelerations(dt, z, nav, state, given, model, scratch)
     lost = nav.gps_age + dt
@@ -300,8 +299,9 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
         lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * given.envelope[0]) ** 2)
-        if given.rest_push < 1.0:  # a rough model: no population says what it leaves out
-            lasting = max(lasting, LASTING_SHARE * (P[U, U] + P[V, V]))
+        if given.rest_push < 1.0:  # rough: no population says what it leaves out
+            most = state.fastest[0] ** 2 + state.fastest[1] ** 2
+            lasting = max(lasting, LASTING_SHARE * min(P[U, U] + P[V, V], most))
         at = N_STATES + int(model.hull[CURRENT])
         for i in range(2):
             more = P[at + i, at + i] if at >= N_STATES else 0.0

@@ -77,6 +77,21 @@ def test_rough_models_are_refused_or_bounded(log, seed):
         assert is_stable(row, chosen, bounds, own.model, own.work.line)
 
 
+def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
+    """However unstable its model: the variance of the velocity grew to (82 m/s)2 in a flight."""
+    log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=100.0, seed=1)
+    twin = Twin(particulars_of(Vessel.load("otter")), "ukf")
+    twin.run(log.slice(0.0, 40.0))
+    for t, z, cmd in log.slice(40.05, 100.0):
+        twin.predictor.ukf.P[3, 3] = 1e4
+        z = z.copy()
+        z[GPS] = math.nan
+        twin.step(t, z, cmd)
+    fastest = np.hypot(*twin.predictor.ukf.fastest[:2])
+    # half of it throughout the minute
+    assert 10.0 < twin.estimate().sd[0] < 1.1 * 0.5 * fastest * 60.0
+
+
 def test_current_that_is_too_large_makes_the_gps_doubtful(log):
     twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
     twin.run(log.slice(0.0, 30.0))

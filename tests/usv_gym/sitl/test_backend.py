@@ -134,6 +134,18 @@ def test_the_boat_stays_moored_until_a_motor_is_driven() -> None:
     assert math.hypot(*pilot.seen[-1].place[:2]) > 0.5
 
 
+def test_a_pulse_before_all_throttles_have_one_does_not_cast_off() -> None:
+    """ArduRover begins with 1000 us at output 1, and nothing at the others."""
+    made = backend("otter", SEA)
+    pilot = autopilot(made)
+    pilot.wait(2.0)
+    pilot.step({1: 1000, 3: 0})
+    pilot.wait(2.0)
+    assert made.moored
+    pilot.step({1: 1400, 3: 1600})
+    assert not made.moored
+
+
 def test_without_a_mooring_the_boat_drifts_with_the_current() -> None:
     made = backend("otter", CALM.replace(current=0.4), moored=False)
     pilot = autopilot(made)
