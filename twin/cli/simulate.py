@@ -20,6 +20,7 @@ from twin.cli.common import (
 )
 from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
+from usv_gym.design.seaway import warning_of
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, ineffective_fault, parse_faults
@@ -70,6 +71,8 @@ def simulate_command(
         if getattr(fault, "start", 0.0) >= duration:
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
     if (found := ineffective_fault(parsed, dof, suite.has_anemometer)) is not None:
+        note(found)
+    if dof == 6 and (found := warning_of(boat, state)) is not None:
         note(found)
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(

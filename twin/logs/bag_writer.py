@@ -236,7 +236,7 @@ class _Messages:
     def position(self, t: float, row: dict[str, float]) -> Any:
         """Return the fix in metres, if there is one."""
         x, y, down = row["gps_x_m"], row["gps_y_m"], row["gps_z_m"]
-        if math.isnan(x) or math.isnan(y):
+        if all(map(math.isnan, (x, y, down))):
             return None
         point = self._vector(y, x, -down, "Point")
         return self._new("geometry_msgs/msg/PointStamped", self._header(t, "map"), point)
@@ -244,7 +244,7 @@ class _Messages:
     def velocity(self, t: float, row: dict[str, float]) -> Any:
         """Return the velocity over ground, if there is one."""
         north, east, down = row["gps_vx_mps"], row["gps_vy_mps"], row["gps_vz_mps"]
-        if math.isnan(north) or math.isnan(east):
+        if all(map(math.isnan, (north, east, down))):
             return None
         linear, still = self._vector(east, north, -down), self._vector(0.0, 0.0, 0.0)
         twist = self._new("geometry_msgs/msg/Twist", linear, still)
@@ -267,6 +267,18 @@ class _Messages:
         vectors = self._vector(*rates), self._vector(*force)
         parts = (turn, spread[0], vectors[0], spread[1], vectors[1], spread[2])
         return self._new("sensor_msgs/msg/Imu", header, *parts)
+
+    def ahrs(self, t: float, row: dict[str, float]) -> Any:
+        """Return roll and pitch as they were measured; NaN for one that was not.
+
+        The orientation of an Imu message has no place for a part of it.
+        """
+        roll, pitch = row["ahrs_roll_rad"], row["ahrs_pitch_rad"]
+        if math.isnan(roll) and math.isnan(pitch):
+            return None
+        angles = self._vector(roll, -pitch, math.nan)
+        header = self._header(t, "base_link")
+        return self._new("geometry_msgs/msg/Vector3Stamped", header, angles)
 
     def wind(self, t: float, row: dict[str, float]) -> Any:
         """Return the velocity of the air, if it is measured."""
@@ -331,6 +343,7 @@ _SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], A
     ("/gps/position", "geometry_msgs/msg/PointStamped", _Messages.position),
     ("/gps/velocity", "geometry_msgs/msg/TwistStamped", _Messages.velocity),
     ("/imu/data", "sensor_msgs/msg/Imu", _Messages.imu),
+    ("/ahrs", "geometry_msgs/msg/Vector3Stamped", _Messages.ahrs),
     ("/wind", "geometry_msgs/msg/Vector3Stamped", _Messages.wind),
     ("/wind/apparent", "geometry_msgs/msg/Vector3Stamped", _Messages.apparent_wind),
 )

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twin.channels import ACCEL_Z, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT, MOTION_END
+from twin.channels import AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT, MOTION_END
 from twin.motion.state import (
     ACCEL_TIME,
     AHRS_ERROR,
@@ -51,6 +51,9 @@ __all__ = ["is_measured", "take_attitude", "turn_upright"]
 RATE_SD = 0.3
 """Angular rate of a boat whose gyro is silent, rad/s."""
 
+TURN_SD = 0.1
+"""Rate of turn of a boat whose gyro is silent, rad/s, times the root of the time it lasts, s."""
+
 LIFT_SD = 2.0
 """Vertical acceleration of a boat whose accelerometer is silent, m/s2."""
 
@@ -87,6 +90,9 @@ HELD = 0.2
 FRESH, SURE_SD = 1.0, 0.1
 """Only with samples of so many s, and standard deviations below these (rad), are roll and pitch
 taken out of the other sensors."""
+
+MIXED = 0.3
+"""A dead gyro counts for a rate of the boat that holds more than this part of it."""
 
 START_SD = 0.2
 """Roll and pitch of a boat of which nothing is known, rad."""
@@ -182,21 +188,23 @@ def _fresh(z, dt, memory, k):
     # the same bits again are no new sample: the instrument is slower than the log, or hangs
     new = math.isfinite(value) and value != memory.last[k] and abs(value) < LIMITS[k]
     memory.ages[k] = 0.0 if new else memory.ages[k] + dt
-    if math.isfinite(value):
+    if abs(value) < LIMITS[k]:
         memory.last[k] = value
     return new
 
 
 @inlined
-def _note_planar(z, memory):
-    """Note whether the axes of the IMU that every log has are new."""
-    new = True
+def _note_planar(z, dt, memory):
+    """Note which of the axes of the IMU that every log has are new."""
+    all_new = True
     for k in range(3):
         value, limit = z[GYRO + k], LIMITS[0] if k == 0 else FORCE_MAX
-        new = new and value != memory.planar[k] and abs(value) < limit
-        if math.isfinite(value):
+        new = value != memory.planar[k] and abs(value) < limit
+        all_new = all_new and new
+        memory.planar_ages[k] = 0.0 if new else memory.planar_ages[k] + dt
+        if abs(value) < limit:
             memory.planar[k] = value
-    memory.planar_new = 1.0 if new else 0.0
+    memory.planar_new = 1.0 if all_new else 0.0
 
 
 @inlined
@@ -250,6 +258,12 @@ def _turned(m, a, b, c, i):
     return m[i, 0] * a + m[i, 1] * b + m[i, 2] * c
 
 
+@inlined
+def _seen(m, a, b, c, i):
+    """Return what axis i of an IMU shows of a vector in the boat's axes."""
+    return m[0, i] * a + m[1, i] * b + m[2, i] * c
+
+
 @kernel
 def take_attitude(t, dt, z, velocity, memory, given):
     """Take a row: estimate roll, pitch, their rates, heave and vertical speed.
@@ -272,7 +286,7 @@ def take_attitude(t, dt, z, velocity, memory, given):
     dt = min(max(dt, 0.0), GAP)
     has_p, has_q = _fresh(z, dt, memory, 0), _fresh(z, dt, memory, 1)
     has_lift = _fresh(z, dt, memory, 2)
-    _note_planar(z, memory)
+    _note_planar(z, dt, memory)
     _integrate(dt, z, (has_p, has_q, has_lift), memory, given)
     for k in range(2):
         if _fresh(z, dt, memory, 3 + k):
@@ -293,18 +307,26 @@ def _integrate(dt, z, has, memory, given):
     """Turn the boat by the mean of the rates of this row and the one before."""
     has_p, has_q, has_lift = has
     before, rate, M = memory.rate, memory.rate, given.mounting
-    has_r = abs(z[GYRO]) < LIMITS[0]
+    lost_r = memory.planar_ages[0] > HELD
+    has_r = abs(z[GYRO]) < LIMITS[0] and not lost_r
     old = before[0], before[1], before[2]
-    # missing axes: the last rate for a while, then none
+    # a missing axis shows the last rate for a while, then none, of the boat's axes in its own
+    dead_x, dead_y = memory.ages[0] > HELD, memory.ages[1] > HELD
+    last = (
+        memory.tilt[0, RATE_BIAS] + (0.0 if dead_x or dead_y else old[0]),
+        memory.tilt[1, RATE_BIAS] + (0.0 if dead_x or dead_y else old[1]),
+        0.0 if lost_r else old[2],
+    )
     raw = (
-        z[GYRO_X] if has_p else old[0] + memory.tilt[0, RATE_BIAS],
-        z[GYRO_Y] if has_q else old[1] + memory.tilt[1, RATE_BIAS],
-        z[GYRO] if has_r else old[2],
+        z[GYRO_X] if has_p else _seen(M, last[0], last[1], last[2], 0),
+        z[GYRO_Y] if has_q else _seen(M, last[0], last[1], last[2], 1),
+        z[GYRO] if has_r else _seen(M, last[0], last[1], last[2], 2),
     )
     p = _turned(M, raw[0], raw[1], raw[2], 0) - memory.tilt[0, RATE_BIAS]
     q = _turned(M, raw[0], raw[1], raw[2], 1) - memory.tilt[1, RATE_BIAS]
     r = _turned(M, raw[0], raw[1], raw[2], 2)
-    lost_p, lost_q = memory.ages[0] > HELD, memory.ages[1] > HELD
+    lost_p = (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED)
+    lost_q = (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED)
     p, q = 0.0 if lost_p else p, 0.0 if lost_q else q
     rate[0], rate[1], rate[2] = p, q, r
     if memory.rows == 0.0:
@@ -324,6 +346,8 @@ def _integrate(dt, z, has, memory, given):
         _propagate(P, (-dt, 0.0, 0.0), N_TILT)
         sd = RATE_SD if (lost_p if k == 0 else lost_q) else given.gyro
         P[ANGLE, ANGLE] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
+        if lost_r:  # roll becomes pitch, and pitch roll, as the boat turns
+            P[ANGLE, ANGLE] += (TURN_SD * memory.tilt[1 - k, ANGLE]) ** 2 * dt
         _fade(x, P, RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
         _fade(x, P, AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
         _fade(x, P, GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
@@ -354,10 +378,18 @@ def _arm_force(rate, turning, arm):
 @inlined
 def _move_force(z, has_lift, memory, given):
     """Note the specific force of the origin, in the boat's axes."""
-    force, M = memory.force, given.mounting
-    if memory.planar_new > 0.0 and (has_lift or memory.ages[2] > HELD):
+    force, M, ages = memory.force, given.mounting, memory.planar_ages
+    has_x, has_y = ages[1] == 0.0, ages[2] == 0.0
+    dead = ages[1] > HELD or ages[2] > HELD or memory.ages[2] > HELD
+    if dead or has_x or has_y or has_lift:
+        s, c = sincos(memory.tilt[0, ANGLE])
+        d, e = sincos(memory.tilt[1, ANGLE])
+        # a missing axis shows the last force for a while, then gravity alone
+        g = GRAVITY * d, -GRAVITY * s * e, -GRAVITY * c * e
         x, y, low = _arm_force(memory.rate, memory.turning, given.imu_arm)
-        a, b, c = z[ACCEL_X], z[ACCEL_Y], z[ACCEL_Z] if has_lift else -GRAVITY
+        a = memory.planar[1] if ages[1] <= HELD else _seen(M, g[0], g[1], g[2], 0)
+        b = memory.planar[2] if ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 1)
+        c = memory.last[2] if memory.ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 2)
         force[0] = _turned(M, a, b, c, 0) - x
         force[1] = _turned(M, a, b, c, 1) - y
         force[2] = _turned(M, a, b, c, 2) - low
@@ -367,7 +399,8 @@ def _move_force(z, has_lift, memory, given):
 def _hold_to_gravity(dt, z, velocity, memory, given):
     """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
     before, u, v = memory.velocity, velocity[0], velocity[1]
-    if memory.planar_new > 0.0 and dt > 0.0:
+    ages = memory.planar_ages
+    if ages[1] == 0.0 and ages[2] == 0.0 and ages[0] <= HELD and dt > 0.0:
         f, r, theta = memory.force, memory.rate[2], memory.tilt[1]
         known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
         ahead = (u - before[0]) / dt - v * r if known else 0.0

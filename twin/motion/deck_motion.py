@@ -37,7 +37,7 @@ from twin.motion.state import (
     initial_attitude,
 )
 from twin.particulars import GRAVITY, Particulars
-from usv_kernel.channels import MOTION_CHANNELS
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, MOTION_CHANNELS, SENSOR_CHANNELS
 from usv_kernel.jit import kernel
 from usv_kernel.records import as_record, field_at, record_size
 
@@ -78,6 +78,8 @@ MOTION_WORK = np.dtype(
 
 BRIDGED = 1.0
 """A channel that is silent for longer is reported, s."""
+
+_SILENT = "{} has been silent or unchanged for {:.1f} s; the others bridge it"
 
 _REFUSED = 10.0
 
@@ -434,7 +436,8 @@ class DeckMotion:
     def troubles(self) -> dict[str, tuple[str, float, str]]:
         """Return status, age (s) and reason, in words, of each motion channel in doubt.
 
-        Channels that never had a sample are not named: a boat need not have them.
+        So it is with the horizontal accelerometers. Channels that never had a sample are not
+        named: a boat need not have them.
         """
         now = self.record["attitude"]
         found: dict[str, tuple[str, float, str]] = {}
@@ -443,10 +446,13 @@ class DeckMotion:
             if not math.isfinite(now["last"][k]):
                 continue
             if age > BRIDGED:
-                why = f"{name} has been silent or unchanged for {age:.1f} s; the others bridge it"
-                found[name] = "excluded", age, why
+                found[name] = "excluded", age, _SILENT.format(name, age)
             elif refused > _REFUSED:
                 found[name] = "doubtful", 0.0, f"{name} contradicts the other sensors"
+        for k, name in enumerate(SENSOR_CHANNELS[ACCEL_X : ACCEL_Y + 1], start=1):
+            age = float(now["planar_ages"][k])
+            if math.isfinite(now["planar"][k]) and age > BRIDGED:
+                found[name] = "excluded", age, _SILENT.format(name, age)
         return found
 
     def views(self) -> dict[str, Array]:
@@ -473,6 +479,8 @@ class DeckMotion:
         if not state:
             self.reset()
             return
+        # files of before the age of each axis was kept
+        state = {"attitude.planar_ages": np.zeros(3), **state}
         check_fields(state, self.views(), FIELDS)
         fill(self.views(), state)
         memory = self.record["forecast"]
@@ -494,7 +502,7 @@ FIELDS = {
         ("attitude.velocity", "attitude.last", "attitude.planar", "forecast.speed"), _GAPS
     ),
     **dict.fromkeys(("attitude.rows", "forecast.rows", "forecast.n_errors"), COUNT),
-    **dict.fromkeys(("attitude.ages", "forecast.verifications"), _POSITIVE),
+    **dict.fromkeys(("attitude.ages", "attitude.planar_ages", "forecast.verifications"), _POSITIVE),
     "forecast.is_fit": FLAG,
     "attitude.tilt": Field(low=-10.0, high=10.0),
     "attitude.P": Field(covariance=True),

@@ -102,6 +102,7 @@ ATTITUDE = np.dtype(
         ("refused", "f8", 7),  # runs of refused samples
         ("planar", "f8", 3),  # last yaw rate, specific force forward and to starboard
         ("planar_new", "f8"),  # 1 where those of this row are new
+        ("planar_ages", "f8", 3),  # time since the last new one of each, s
         ("rows", "f8"),  # rows taken
         ("ring", "f8", (RING, 4)),  # time, roll, pitch, vertical speed of past rows
     ]
@@ -143,7 +144,7 @@ def initial_attitude() -> Array:
     record = memory.view(ATTITUDE)[0]
     for name in ("velocity", "last", "planar"):
         record[name] = np.nan
-    record["ages"] = NEVER
+    record["ages"] = record["planar_ages"] = NEVER
     return memory
 
 

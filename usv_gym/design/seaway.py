@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from typing import NamedTuple
@@ -101,6 +102,9 @@ def warning_of(vessel: Vessel, sea: SeaState) -> str | None:
     """Return what to expect of a vessel that capsizes in a sea; None of one that does not."""
     if sea.hs <= 0.0:
         return None
+    if sea.schedule:  # the worst of a sea that changes, for as long as the trial takes
+        worst = max(sea.schedule, key=lambda moment: moment.hs)
+        sea = dataclasses.replace(sea, hs=worst.hs, wind=worst.wind, schedule=())
     trial = sail_in_sea(vessel, sea)
     if not trial.capsized:
         return None

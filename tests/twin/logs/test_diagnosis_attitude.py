@@ -79,7 +79,17 @@ def dead(column: int) -> Callable[[np.ndarray], None]:
     return change
 
 
+def dying(column: int) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        z[900:, column] = z[900, column]
+
+    return change
+
+
 FAULTS = {
+    "roll gyro dies": (dying(GYRO_X), "axis-dead"),
+    "roll of the AHRS dies": (dying(AHRS_ROLL), "axis-dead"),
+    "side accelerometer dies": (dying(ACCEL_Y), "axis-dead"),
     "g": (scaled(1 / 9.81, ACCEL_X, ACCEL_Y, ACCEL_Z), "accel-unit"),
     "no gravity": (without_gravity, "accel-gravity"),
     "z up": (scaled(-1.0, ACCEL_Z), "accel-up"),

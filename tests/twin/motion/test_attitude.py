@@ -224,6 +224,50 @@ def test_a_dead_axis_is_reported_and_bridged(typical: list[Log]) -> None:
     assert np.degrees(rms(np.array(errors[1000:]))) < 1.0
 
 
+@pytest.mark.parametrize("column", [ACCEL_X, ACCEL_Y, GYRO], ids=["ahead", "side", "yaw"])
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_dead_horizontal_axis_lifts_no_boat(
+    typical: list[Log], column: int, silent: bool
+) -> None:
+    """Before, the last force of all axes went on, and the heave was 8 m off within a minute."""
+    log = typical[1]
+    z = log.z.copy()
+    z[700:, column] = math.nan if silent else z[700, column]
+    dead = dataclasses.replace(log, z=z)
+    error = np.abs(estimates(dead)[0] - truth(log))[200:]
+    sound = np.abs(estimates(log)[0] - truth(log))[200:]
+    assert (rms(error[:, 2:]) < 2.0 * rms(sound[:, 2:])).all()
+    assert np.degrees(rms(error[:, :2])).max() < 0.5
+    motion = DeckMotion(BOAT)
+    for k, t in enumerate(log.t):
+        motion.take(t, log.dt if k else 0.0, z[k], log.truth[k], True)
+    names = {ACCEL_X: {"accel_x_mps2"}, ACCEL_Y: {"accel_y_mps2"}, GYRO: set()}[column]
+    assert set(motion.troubles()) == names
+
+
+def test_axes_that_take_turns_are_all_used(typical: list[Log]) -> None:
+    log = typical[1]
+    z = log.z.copy()
+    z[::2, [ACCEL_X, ACCEL_Y, ACCEL_Z]] = math.nan
+    z[1::2, [GYRO, GYRO_X, GYRO_X + 1, AHRS_ROLL, AHRS_PITCH]] = math.nan
+    turns = dataclasses.replace(log, z=z)
+    assert rms(estimates(turns)[0] - truth(log))[2] < 0.15
+
+
+def test_a_dead_gyro_of_an_imu_on_its_side_counts_for_the_other_rate(typical: list[Log]) -> None:
+    log = typical[1]
+    z = log.z.copy()
+    for columns in ([GYRO_X, GYRO_X + 1, GYRO], [ACCEL_X, ACCEL_Y, ACCEL_Z]):
+        z[:, columns] = z[:, columns] @ rotation((0.0, 0.0, 0.5 * math.pi))
+    z[700:, GYRO_X + 1] = z[700, GYRO_X + 1]
+    instruments = dataclasses.replace(BOAT.instruments, imu_mounting=(0.0, 0.0, 0.5 * math.pi))
+    askew = dataclasses.replace(BOAT, instruments=instruments)
+    found, sd = estimates(dataclasses.replace(log, z=z), askew)
+    errors = rms((found - truth(log))[200:, :2])
+    assert np.degrees(errors).max() < 0.4
+    assert (errors < 2.0 * sd[200:, :2].mean(axis=0)).all()
+
+
 def test_spikes_are_refused(typical: list[Log]) -> None:
     log, rng = typical[1], np.random.default_rng(0)
     z = log.z.copy()

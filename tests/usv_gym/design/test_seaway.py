@@ -14,7 +14,7 @@ from usv_gym.design.checks import inspect
 from usv_gym.design.seaway import sail_in_sea, warning_of
 from usv_gym.envs.episodes import CapsizeWarning
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import SeaState
+from usv_gym.world.sea import SeaKeyframe, SeaState
 
 TENDER = Vessel.load("kvlcc2_l7")
 """A tanker of 7 m, which no one would take into waves of 2.5 m."""
@@ -38,6 +38,18 @@ def test_a_tender_ship_is_named_with_its_sea_and_headings() -> None:
     found = inspect(TENDER)
     assert any("capsizes within a minute" in finding.text for finding in found.findings)
     assert not any("capsizes" in one.text for one in inspect(Vessel.load("usv75")).findings)
+
+
+def test_the_worst_moment_of_a_sea_that_changes_counts() -> None:
+    moments = (
+        SeaKeyframe(40.0, 0.1, 4.5),
+        SeaKeyframe(100.0, 2.5, 10.0),
+        SeaKeyframe(160.0, 0.1, 4.5),
+    )
+    said = warning_of(TENDER, SeaState(schedule=moments))
+    assert said is not None
+    assert "waves of 2.5 m" in said
+    assert warning_of(TENDER, SeaState(schedule=(SeaKeyframe(0.0, 0.05, 1.0),))) is None
 
 
 def test_the_trial_repeats_itself_and_is_that_of_the_numbers() -> None:

@@ -14,6 +14,7 @@ from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, sampled
 from twin.particulars import GRAVITY, Particulars
+from usv_kernel.channels import ACCEL_X, ACCEL_Y
 from usv_kernel.scalar import rotation
 
 __all__ = ["check_attitude", "upright"]
@@ -50,6 +51,9 @@ _TURNING = 0.05
 
 _SMOOTH = 0.3
 """Changes are compared over so many seconds."""
+
+_DEAD = 10.0
+"""An axis that says the same for so long is dead, s."""
 
 _STILL = 0.003
 """Rates below, rad/s, and speeds, m/s, tell nothing."""
@@ -109,16 +113,25 @@ def upright(recording: Recording) -> Recording:
 
 
 def _dead_axes(recording: Recording) -> list[Finding]:
-    """Return findings about axes that never change."""
+    """Return findings about axes that never change, or no more."""
     found = []
-    for j in range(MOTION_AT, MOTION_END):
-        values = recording.z[:, j]
-        values = values[np.isfinite(values)]
-        if len(values) >= ENOUGH and (values == values[0]).all():
-            name = recording.called(MEASUREMENTS[j])
-            what = f"{name}: all {len(values)} values are {values[0]:g}, as of a dead axis"
-            remedy = "leave its cells empty; the twin does without it"
-            found.append(Finding(WARNING, "axis-dead", what, remedy, {"value": float(values[0])}))
+    for j in (ACCEL_X, ACCEL_Y, *range(MOTION_AT, MOTION_END)):
+        there = np.flatnonzero(np.isfinite(recording.z[:, j]))
+        values, t = recording.z[there, j], recording.t[there]
+        if len(values) < ENOUGH:
+            continue
+        begins = np.flatnonzero(np.diff(values, prepend=math.inf) != 0.0)
+        ends = np.append(begins[1:], len(values)) - 1
+        run = int(np.argmax(t[ends] - t[begins]))
+        first, last = begins[run], ends[run]
+        whole = len(begins) == 1
+        if not whole and (t[last] - t[first] < _DEAD or last - first < ENOUGH):
+            continue
+        name, value = recording.called(MEASUREMENTS[j]), float(values[first])
+        span = "all" if whole else f"from t = {t[first]:.1f} to {t[last]:.1f} s all"
+        what = f"{name}: {span} {last - first + 1} values are {value:g}, as of a dead axis"
+        remedy = "leave its cells empty there; the twin does without it"
+        found.append(Finding(WARNING, "axis-dead", what, remedy, {"value": value}))
     return found
 
 
