@@ -68,9 +68,9 @@ def load_run(settings: Settings, unit: Unit) -> Run:
     if unit.log:
         log, particulars = read_run(unit.log, settings.ship, settings.mapping)
         identify = recorded_identify_s(log)
-        identify += float(log.t[0])
+        # starts of faults count from the first row
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-        return Run(seen.without_truth(), log, particulars, identify, ())
+        return Run(seen.without_truth(), log, particulars, identify + float(log.t[0]), ())
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
     identify, duration = settings.identify_s, settings.duration_s
     if unit.scenario == MISSION:

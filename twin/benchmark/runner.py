@@ -114,7 +114,7 @@ def run_unit(
     dt = min(max(seen.dt, 0.02), 0.25)
     last_command = commands_end(run.reference)
     end = last_command - HORIZONS[-1]
-    lost = gps_windows(parse_faults(unit.fault, fault_start(settings, identify)))
+    lost = lost_gps(settings, unit, run)
     loss_ends = losses_to_score(seen.t, lost, reference)
     ended: list[dict[str, float]] = []
     held = RecordedPersistence(run.reference, reference, unit.log) if unit.log else None
@@ -476,6 +476,13 @@ def collect(
     }
 
 
+def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, float]]:
+    """Return the spans of time without GPS in a run, s."""
+    begin = float(run.reference.t[0])
+    faults = parse_faults(unit.fault, fault_start(settings, run.identify - begin))
+    return [(start + begin, end + begin) for start, end in gps_windows(faults)]
+
+
 def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
     """Return the spans of time without GPS of faults with a given start, s."""
     return [
@@ -506,13 +513,12 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
         key = (unit.scenario, unit.fault, unit.seed)
         if key not in shown:
             run = load_run(settings, unit)
-            struck = parse_faults(unit.fault, fault_start(settings, run.identify))
             shown[key] = RunFigure(
                 scenario=unit.scenario,
                 fault=unit.fault,
                 seed=unit.seed,
                 log=run.reference,
-                lost=gps_windows(struck),
+                lost=lost_gps(settings, unit, run),
                 predictors={},
             )
         history = result["history"]

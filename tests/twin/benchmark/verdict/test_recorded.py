@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twin.benchmark.protocol import Settings, units
+from twin.benchmark.runner import run_unit
 from twin.benchmark.scores import Reference
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.channels import MEASUREMENTS
-from twin.logs.log import Log
+from twin.logs.log import Log, recorded_runs
 from twin.predictors.base import Estimate
 from usv_kernel.channels import COMPASS, GPS_X, GPS_Y, GYRO
 
@@ -97,3 +100,23 @@ def test_a_loss_is_scored_at_its_last_row() -> None:
     near = {**ended, "error_m": 1.0}
     (row,) = loss_rows([{"unit": unit, "loss_ends": [ended, near]}])
     assert (row["error_m"], row["worst_m"], row["held"]) == (3.0, pytest.approx(5.0), 0.5)
+
+
+def test_a_log_that_begins_late_has_its_loss_at_the_same_place(tmp_path: Path) -> None:
+    """Faults are counted from the first row; so is where a loss is scored."""
+    whole = Log.read(recorded_runs()["boat1_usv_circle"]).slice(0.0, 90.0)
+    ship = str(recorded_runs()["boat1_usv_circle"].with_name("boat1_usv_circle.toml"))
+    found = []
+    for late in (0.0, 100.0):
+        path = tmp_path / f"from_{late:g}.csv"
+        dataclasses.replace(whole, t=whole.t + late).write(path)
+        settings = Settings(
+            **{"scenarios": (), "faults": ("gps20",), "plans": ("known",), "logs": (str(path),)},
+            **{"predictors": ("persistence",), "ship": ship},
+        )
+        result = run_unit(settings, units(settings)[0], tmp_path, pictures=False)
+        (end,) = result["loss_ends"]
+        found.append((end["t_s"] - late, end["length_s"], end["error_m"], end["said_m"]))
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    # 20 s without GPS: the radius is no longer that of a fix
+    assert found[0][3] > 5.0
