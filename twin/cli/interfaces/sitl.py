@@ -12,6 +12,7 @@ import typer
 
 from twin.cli.common import (
     HsOption,
+    OptionError,
     WindFromOption,
     WindOption,
     console,
@@ -145,6 +146,8 @@ def sitl_command(
     )
     backend = Backend(simulation, seed, heading=math.radians(heading), moored=moored)
     model = None
+    if view and duration:
+        raise OptionError("--duration ends a run without a page; with --view, Ctrl-C does")
     if twin is not None or view:
         model = _twin(boat, twin or DEFAULT, sensors)
     navigation = navigation_of(external, max_sd, resume) if twin is not None else None

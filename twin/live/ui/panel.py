@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from twin.channels import U
 from twin.digital_twin import PLANS
 from twin.health.monitor import SensorStatus
+from twin.live.external.view import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -255,9 +256,9 @@ class SimulatedControls(Controls):
 
 
 class FeedControls(Controls):
-    """A real boat takes no orders, and its time cannot be stopped."""
+    """A boat that others steer takes no orders, and its time cannot be stopped."""
 
-    session: FeedSession
+    session: FeedSession | SitlSession
 
     def add(self) -> None:
         """Add what helps when another boat begins to send."""
@@ -312,13 +313,12 @@ class LogControls(Controls):
 
 
 def controls_of(server: viser.ViserServer, session: Session) -> Controls:
-    """Return the controls that suit a session."""
-    kinds: dict[type, type[Controls]] = {
-        SimulatedSession: SimulatedControls,
-        FeedSession: FeedControls,
-        LogSession: LogControls,
-    }
-    return kinds[type(session)](server, session)
+    """Return the controls that suit a session; who looks on has those of a feed."""
+    if isinstance(session, SimulatedSession):
+        return SimulatedControls(server, session)
+    if isinstance(session, LogSession):
+        return LogControls(server, session)
+    return FeedControls(server, session)
 
 
 def said(now: Snapshot, session: Session) -> dict[str, str]:
