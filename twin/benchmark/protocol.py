@@ -23,12 +23,9 @@ from twin.predictors.registry import (
     PREDICTORS,
     PredictorError,
     base_name,
-    make_predictor,
-    options_of,
     predictor_class,
 )
-from twin.sim.bridge import particulars_of
-from twin.sim.oracle import check_simulator
+from twin.sim.oracle import check_options_of, check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
@@ -154,9 +151,7 @@ class Settings:
                     f"no scenario is called {name!r}; known: {', '.join(SCENARIOS)}"
                 )
         for name in self.predictors:
-            # the values of options are checked by the class
-            if options_of(name) and not predictor_class(name).needs_simulator:
-                make_predictor(name, particulars_of(Vessel.load(self.vessel)))
+            check_options_of(name, self.vessel)
         if self.model is not None and self.model not in MODELS:
             raise StructureError(
                 f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"

@@ -31,6 +31,8 @@ from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
 from usv_gym.world.schedule import SCHEDULE_HELP
+from usv_gym.world.sea import SEA_STATES
+from usv_gym.world.sensors import GRADES
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
 from usv_kernel.files import write_whole
@@ -125,6 +127,20 @@ WindOption = Annotated[
 WindFromOption = Annotated[
     str | None,
     typer.Option(help=f"Direction the wind comes from, degrees from north. {SCHEDULE_HELP}"),
+]
+
+SeaOption = Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")]
+
+CurrentOption = Annotated[float | None, typer.Option(help="Speed of the current, m/s.")]
+
+CurrentToOption = Annotated[
+    float | None, typer.Option(help="Direction the current goes to, degrees from north.")
+]
+
+SensorsOption = Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")]
+
+FaultStartOption = Annotated[
+    float, typer.Option(help="Start of a fault that is given by its length, s.")
 ]
 
 ShaftMaxOption = Annotated[

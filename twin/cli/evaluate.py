@@ -115,7 +115,7 @@ def evaluate_command(
             made[i] = rows
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
-    labels = _labels(agents)
+    labels = _labels([model for model, _agent in agents])
     for model in labels:
         for state in seas:
             groups = [
@@ -184,12 +184,9 @@ def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _labels(agents: list[tuple[str, Agent]]) -> dict[str, str]:
-    """Return short names of the agents by their models: the last part of a path, if it is one."""
-    short = {
-        model: agent.name if model == agent.name else Path(model).name.removesuffix(".npz")
-        for model, agent in agents
-    }
+def _labels(models: list[str]) -> dict[str, str]:
+    """Return short names of models: the last part of a path, if it is one."""
+    short = {model: Path(model).name.removesuffix(".npz") for model in models}
     names = list(short.values())
     return {model: name if names.count(name) == 1 else model for model, name in short.items()}
 

@@ -10,8 +10,11 @@ import typer
 from twin.benchmark.runner import gps_windows
 from twin.cli.common import (
     DofOption,
+    FaultStartOption,
     HsOption,
     OptionError,
+    SeaOption,
+    SensorsOption,
     WindFromOption,
     WindOption,
     console,
@@ -25,8 +28,8 @@ from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, ineffective_fault, parse_faults
 from usv_gym.world.schedule import changing_sea
-from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import GRADES, SensorSuite
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import SensorSuite
 
 MANOEUVRE_HELP = (
     f"One of: {', '.join(SCENARIOS)}. headingN holds a course at N degrees to where the waves go."
@@ -48,15 +51,13 @@ def simulate_command(
         float, typer.Option(min=1.0, max=86400.0, help="Length of the run, s.")
     ] = 120.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
-    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    sea: SeaOption = "2",
     hs: HsOption = None,
     wind: WindOption = None,
     wind_from: WindFromOption = None,
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
-    fault_start: Annotated[
-        float, typer.Option(help="Start of a fault that is given by its length, s.")
-    ] = 85.0,
-    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    fault_start: FaultStartOption = 85.0,
+    sensors: SensorsOption = "typical",
     dof: DofOption = 3,
 ) -> None:
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""

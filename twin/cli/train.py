@@ -13,11 +13,9 @@ from twin.agents.evaluation import OUTAGES, SEAS
 from twin.agents.hyperparameters import ALGORITHMS, hyperparameters
 from twin.agents.training import Plan, Run, train
 from twin.cli.common import JobsOption, console, new_table, parse_seeds, progress_bar, stopped
-from twin.predictors.registry import make_predictor
-from twin.sim.bridge import particulars_of
+from twin.sim.oracle import check_options_of
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
-from usv_gym.vessel.vessel import Vessel
 
 KEPT = "everything up to the last checkpoints is kept in {}; the same command continues from there"
 """Printed after Ctrl-C."""
@@ -72,7 +70,7 @@ def train_command(
     values = hyperparameters(algo, hyper)
     if steps is None:
         steps = values["n_timesteps"]
-    make_predictor(twin, particulars_of(Vessel.load(vessel)))  # refuses wrong options at once
+    check_options_of(twin, vessel)
     plans = [Plan(algo, obs, steps, seed, **options) for seed in parse_seeds(seeds)]
     heads = ("seed", "return", "off the path, m", "success", "minutes", "folder")
     title = f"{plans[0].name}, {steps} decisions"

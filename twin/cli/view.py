@@ -12,9 +12,12 @@ import typer
 
 from twin.cli.common import (
     DofOption,
+    FaultStartOption,
     HsOption,
     MappingOption,
     PredictorOption,
+    SeaOption,
+    SensorsOption,
     ShaftMaxOption,
     SteerMaxOption,
     WindFromOption,
@@ -39,8 +42,7 @@ from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.schedule import changing_sea
-from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import GRADES
+from usv_gym.world.sea import SeaState
 
 if TYPE_CHECKING:
     from twin.live.sessions.session import Session
@@ -84,16 +86,14 @@ def view_command(
             help="Future commands of a log. known: those that follow; hold: the last one stays."
         ),
     ] = "known",
-    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    sea: SeaOption = "2",
     hs: HsOption = None,
     wind: WindOption = None,
     wind_from: WindFromOption = None,
     dof: DofOption = 6,
-    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    sensors: SensorsOption = "typical",
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
-    fault_start: Annotated[
-        float, typer.Option(help="Start of a fault that is given by its length, s.")
-    ] = 85.0,
+    fault_start: FaultStartOption = 85.0,
     shaft_max: ShaftMaxOption = None,
     steer_max: SteerMaxOption = None,
     autopilot: Annotated[

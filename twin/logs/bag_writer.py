@@ -273,12 +273,7 @@ class _Messages:
 
         The orientation of an Imu message has no place for a part of it.
         """
-        roll, pitch = row["ahrs_roll_rad"], row["ahrs_pitch_rad"]
-        if math.isnan(roll) and math.isnan(pitch):
-            return None
-        angles = self._vector(roll, -pitch, math.nan)
-        header = self._header(t, "base_link")
-        return self._new("geometry_msgs/msg/Vector3Stamped", header, angles)
+        return self._stamped(t, "base_link", row["ahrs_roll_rad"], -row["ahrs_pitch_rad"], math.nan)
 
     def wind(self, t: float, row: dict[str, float]) -> Any:
         """Return the velocity of the air, if it is measured."""
@@ -290,11 +285,11 @@ class _Messages:
         ahead, starboard = _air(row["apparent_wind_mps"], row["apparent_wind_rad"])
         return self._stamped(t, "base_link", ahead, -starboard)
 
-    def _stamped(self, t: float, frame: str, x: float, y: float) -> Any:
-        """Return a horizontal vector; None where it is not known."""
-        if math.isnan(x) or math.isnan(y):
+    def _stamped(self, t: float, frame: str, x: float, y: float, z: float = 0.0) -> Any:
+        """Return a vector; None where neither x nor y is known."""
+        if math.isnan(x) and math.isnan(y):
             return None
-        vector = self._vector(x, y, 0.0)
+        vector = self._vector(x, y, z)
         return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
     def truth(self, log: Log) -> Iterator[Event]:

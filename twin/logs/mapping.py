@@ -333,8 +333,8 @@ class _Parser:
 
     def quaternion(
         self, where: str, given: Any, *more: str
-    ) -> tuple[Mapping[str, Any], tuple[str, ...], bool]:
-        """Return the table of a quaternion, its sources, and whether its axes are those of ROS."""
+    ) -> tuple[Mapping[str, Any], tuple[str, ...], str]:
+        """Return the table, the four sources and the frame of a quaternion."""
         table = self.known(where, given, ("topic", "quaternion", "frame", *more))
         parts = table.get("quaternion", "orientation")
         names = [f"{parts}.{axis}" for axis in "xyzw"] if isinstance(parts, str) else parts
@@ -343,24 +343,24 @@ class _Parser:
         return table, tuple(map(str, names)), self.frame(where, table)
 
     def heading(self, given: Any) -> Entry:
-        table, sources, enu = self.quaternion("[heading]", given, "offset")
+        table, sources, frame = self.quaternion("[heading]", given, "offset")
         offset = self.number("[heading] offset", table.get("offset", 0.0))
         return Entry(
             ("compass_rad",),
             sources,
-            _yaw(enu, offset),
+            _yaw(frame == "enu", offset),
             self.text("[heading]", table, "topic", ""),
-            f"compass_rad: from a quaternion in {'ENU' if enu else 'NED'}",
+            f"compass_rad: from a quaternion in {frame.upper()}",
         )
 
     def attitude(self, given: Any) -> Entry:
-        table, sources, enu = self.quaternion("[attitude]", given)
+        table, sources, frame = self.quaternion("[attitude]", given)
         return Entry(
             ("ahrs_roll_rad", "ahrs_pitch_rad"),
             sources,
-            _tilt(enu),
+            _tilt(frame == "enu"),
             self.text("[attitude]", table, "topic", ""),
-            f"ahrs_roll_rad, ahrs_pitch_rad: from a quaternion in {'ENU' if enu else 'NED'}",
+            f"ahrs_roll_rad, ahrs_pitch_rad: from a quaternion in {frame.upper()}",
         )
 
     def wind(self, name: str, given: Any) -> Entry:
@@ -369,21 +369,21 @@ class _Parser:
         fields = table.get("vector", ["vector.x", "vector.y"])
         if not isinstance(fields, list) or len(fields) != 2:
             raise self.fail(f"{where} vector", "must be the columns or fields [x, y]")
-        enu = self.frame(where, table)
+        frame = self.frame(where, table)
         return Entry(
             WIND_CHANNELS if name == "apparent_wind" else ("wind_mps", "wind_from_rad"),
             tuple(map(str, fields)),
-            _source_of_air(enu, name == "apparent_wind"),
+            _source_of_air(frame == "enu", name == "apparent_wind"),
             self.text(where, table, "topic", ""),
-            f"{name}: from a velocity in {'ENU' if enu else 'NED'}",
+            f"{name}: from a velocity in {frame.upper()}",
         )
 
-    def frame(self, where: str, table: Mapping[str, Any]) -> bool:
-        """Return whether axes are those of ROS, as they are unless the table says otherwise."""
+    def frame(self, where: str, table: Mapping[str, Any]) -> str:
+        """Return the frame of a table: that of ROS, unless it says otherwise."""
         frame = table.get("frame", "enu")
         if frame not in ("enu", "ned"):
             raise self.fail(f"{where} frame", f'{frame!r} must be "enu" or "ned"')
-        return bool(frame == "enu")
+        return str(frame)
 
 
 def _conversion(factor: float, offset: float) -> str:

@@ -389,10 +389,10 @@ def _move_force(z, has_lift, memory, given):
         x, y, low = _arm_force(memory.rate, memory.turning, given.imu_arm)
         a = memory.planar[1] if ages[1] <= HELD else _seen(M, g[0], g[1], g[2], 0)
         b = memory.planar[2] if ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 1)
-        c = memory.last[2] if memory.ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 2)
-        force[0] = _turned(M, a, b, c, 0) - x
-        force[1] = _turned(M, a, b, c, 1) - y
-        force[2] = _turned(M, a, b, c, 2) - low
+        down = memory.last[2] if memory.ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 2)
+        force[0] = _turned(M, a, b, down, 0) - x
+        force[1] = _turned(M, a, b, down, 1) - y
+        force[2] = _turned(M, a, b, down, 2) - low
 
 
 @inlined

@@ -17,9 +17,9 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import usv_gym
+from tests.twin.cli.command import run
 from twin import Log, Twin, recorded_runs
 from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
@@ -27,7 +27,7 @@ from twin.cli.benchmark import match_files
 from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import console, parse_seeds
 from twin.cli.logs.identify import LEGEND
-from twin.cli.main import COMMANDS, app, expand_files
+from twin.cli.main import COMMANDS, expand_files
 from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
@@ -36,28 +36,12 @@ from usv_gym import Vessel
 USV75 = (resources.files("usv_gym.vessel") / "vessels" / "usv75.toml").read_text(encoding="utf-8")
 
 
-def run(*arguments, check=0):
-    """Run the command line in this process."""
-    result = CliRunner().invoke(app, expand_files([str(item) for item in arguments]))
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == check, result.output
-    return result
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("cli")
     options = ("--duration", "40", "--seed", "3", "--faults", "gps5", "--fault-start", "20")
     run("simulate", "zigzag", *options, "--out", path / "run.csv")
     return path
-
-
-@pytest.fixture
-def empty(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_simulate_writes_log_particulars_and_picture(folder):

@@ -4,27 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from tests.twin.cli.command import run
 from twin import Log
 from twin.channels import MEASUREMENTS
-from twin.cli.main import app, expand_files
-
-
-def run(*arguments, check=0):
-    """Run the command line in this process."""
-    result = CliRunner().invoke(app, expand_files([str(item) for item in arguments]))
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == check, result.output
-    return result
-
-
-@pytest.fixture
-def empty(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_the_sea_of_a_simulated_run_changes_as_asked(empty):

@@ -30,6 +30,12 @@ ResumeOption = Annotated[
     ),
 ]
 
+ViewOption = Annotated[bool, typer.Option("--view", help="Show boat and twin in the browser.")]
+
+ViewPortOption = Annotated[
+    int, typer.Option(min=1, max=65535, help="Port of the page; if taken, the next one.")
+]
+
 
 def navigation_of(kind: str, max_sd: float, resume: bool) -> ExternalNavigation | None:
     """Return external navigation that prints its events; None if it is off."""

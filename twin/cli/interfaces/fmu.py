@@ -8,8 +8,11 @@ from typing import Annotated
 import typer
 
 from twin.cli.common import (
+    CurrentOption,
+    CurrentToOption,
     DofOption,
     HsOption,
+    SeaOption,
     WindFromOption,
     WindOption,
     console,
@@ -18,7 +21,7 @@ from twin.cli.common import (
 from usv_gym.cosimulation.unit import CosimulationError, write_unit
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.schedule import changing_sea
-from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sea import SeaState
 
 
 def fmu_command(
@@ -28,14 +31,12 @@ def fmu_command(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File to write. [<name>.fmu]")
     ] = None,
-    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "0",
+    sea: SeaOption = "0",
     hs: HsOption = None,
     wind: WindOption = None,
     wind_from: WindFromOption = None,
-    current: Annotated[float | None, typer.Option(help="Speed of the current, m/s.")] = None,
-    current_to: Annotated[
-        float | None, typer.Option(help="Direction the current goes to, degrees from north.")
-    ] = None,
+    current: CurrentOption = None,
+    current_to: CurrentToOption = None,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of sea and wind.")] = 0,
     dof: DofOption = 3,
     step: Annotated[float, typer.Option(help="Its step, s; a whole multiple of 0.05.")] = 0.05,

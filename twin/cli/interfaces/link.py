@@ -20,6 +20,8 @@ from twin.cli.interfaces.common import (
     ExternalOption,
     MaxSdOption,
     ResumeOption,
+    ViewOption,
+    ViewPortOption,
     counted,
     navigation_of,
 )
@@ -59,12 +61,8 @@ def link_command(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for logs that are recorded on the page.")
     ] = Path(),
-    view: Annotated[
-        bool, typer.Option("--view", help="Show boat and twin in the browser.")
-    ] = False,
-    view_port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the page; if taken, the next one.")
-    ] = 8080,
+    view: ViewOption = False,
+    view_port: ViewPortOption = 8080,
 ) -> None:
     """Sail on without GPS: the twin is the external navigation of an autopilot.
 

@@ -11,8 +11,13 @@ from typing import Annotated
 import typer
 
 from twin.cli.common import (
+    CurrentOption,
+    CurrentToOption,
+    FaultStartOption,
     HsOption,
     OptionError,
+    SeaOption,
+    SensorsOption,
     WindFromOption,
     WindOption,
     console,
@@ -24,6 +29,8 @@ from twin.cli.interfaces.common import (
     ExternalOption,
     MaxSdOption,
     ResumeOption,
+    ViewOption,
+    ViewPortOption,
     counted,
     navigation_of,
     numbered,
@@ -44,8 +51,7 @@ from usv_gym.sitl.server import LOOPBACK, Server
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.schedule import changing_sea
-from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import GRADES
+from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
 
 
@@ -75,14 +81,12 @@ def sitl_command(
             help="Where the autopilot speaks MAVLink, for the twin and faults of its GPS."
         ),
     ] = "udp://127.0.0.1:14551",
-    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    sea: SeaOption = "2",
     hs: HsOption = None,
     wind: WindOption = None,
     wind_from: WindFromOption = None,
-    current: Annotated[float | None, typer.Option(help="Speed of the current, m/s.")] = None,
-    current_to: Annotated[
-        float | None, typer.Option(help="Direction the current goes to, degrees from north.")
-    ] = None,
+    current: CurrentOption = None,
+    current_to: CurrentToOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
     faults: Annotated[
         str,
@@ -91,10 +95,8 @@ def sitl_command(
             f"receiver, too: {FAULTS_HELP}."
         ),
     ] = "none",
-    fault_start: Annotated[
-        float, typer.Option(help="Start of a fault that is given by its length, s.")
-    ] = 180.0,
-    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    fault_start: FaultStartOption = 180.0,
+    sensors: SensorsOption = "typical",
     home: Annotated[str, typer.Option(help="Home of the autopilot, LAT,LON.")] = "59.9,10.7",
     heading: Annotated[float, typer.Option(help="Heading at the start, degrees.")] = 0.0,
     moored: Annotated[
@@ -117,12 +119,8 @@ def sitl_command(
         Path | None,
         typer.Option("--out", "-o", help="Log to write, with the truth; events beside it."),
     ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show boat and twin in the browser.")
-    ] = False,
-    view_port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the page; if taken, the next one.")
-    ] = 8080,
+    view: ViewOption = False,
+    view_port: ViewPortOption = 8080,
 ) -> None:
     """Be the physics of ArduPilot: our ship and sea answer its JSON interface.
 

@@ -1,0 +1,18 @@
+"""The command line, run in this process."""
+
+from __future__ import annotations
+
+from typer.testing import CliRunner
+
+from twin.cli.main import app, expand_files
+
+__all__ = ["run"]
+
+
+def run(*arguments, check=0):
+    """Run the command line in this process."""
+    result = CliRunner().invoke(app, expand_files([str(item) for item in arguments]))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == check, result.output
+    return result
