@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import cholesky, dot, invert, packed_size, solve_factored
 from twin.identification.change import ChangeWork, change_work
+from twin.identification.interval_scale import RecordWork, record_work
 from twin.identification.prediction_error import (
     LineariseWork,
     RefitConfig,
@@ -133,6 +134,7 @@ class RefitWork(NamedTuple):
     line: Any  # LineariseWork
     solve: Any  # SegmentWork
     change: Any  # see ``twin.identification.change``
+    spread: Any  # see ``twin.identification.interval_scale``
 
 
 @kernel
@@ -383,7 +385,9 @@ class Segments:
         line: LineariseWork = python_views(linearise_work)(self.line, p)
         changes: ChangeWork = python_views(change_work)(self.changes, p, capacity)
         scratch = python_views(segment_work)(self.scratch, p, capacity)
-        self.work = RefitWork(line, scratch, changes)
+        self.spread = np.zeros(flat_size(record_work, p))
+        spread: RecordWork = python_views(record_work)(self.spread, p)
+        self.work = RefitWork(line, scratch, changes, spread)
         self.reset()
 
     @property

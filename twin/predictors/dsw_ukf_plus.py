@@ -227,6 +227,7 @@ class PlusPredictor(UKFPredictor):
             solve=segments.scratch,
             change=segments.changes,
             waves=np.zeros(WAVE_WORK),
+            spread=segments.spread,
         )
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
         self._latest: Any = None

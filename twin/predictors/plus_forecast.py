@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI
 from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
+from twin.identification.interval_scale import factor_ahead
 from twin.identification.joint_ukf import (
     PRIOR_SHRINKAGE,
     drive_share,
@@ -22,7 +24,7 @@ from twin.identification.joint_ukf import (
     scale_plan,
     shrink_to_prior,
 )
-from twin.identification.prediction_error import LOW
+from twin.identification.prediction_error import LOW, refit_config
 from twin.identification.wave_residual import ORDER, between, forecast_waves, simulate_waves
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
@@ -275,12 +277,18 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
     for d in range(D):
         for k in range(N_STATES):
             out.deviations[d, 0, k] = out.shocks[d, k] if k >= 2 else 0.0
-        for row in range(own.plan.shape[0]):
-            for k in range(N_STATES):
+    refit = refit_config(config.refit, p)
+    for row in range(own.plan.shape[0]):
+        for k in range(N_STATES):
+            factor = factor_ahead(own.after[row], max(k - 1, 0), window.record, refit)
+            for d in range(D):
                 value = out.states[d + 1, row, k]
                 if k >= 3:
                     value += out.ends[d + 1, row, k - 3]
-                out.deviations[d, row + 1, k] = value - out.states[0, row, k]
+                # the error of the heading now stays
+                still = out.shocks[d, PSI] if k == PSI else 0.0
+                change = value - out.states[0, row, k] - still
+                out.deviations[d, row + 1, k] = still + factor * change
 
 
 @kernel

@@ -20,6 +20,7 @@ from twin.identification.data_weight import (
     select_trust,
     selector_state,
 )
+from twin.identification.interval_scale import RECORD, compare_segment, record_work
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -117,6 +118,7 @@ WINDOW = np.dtype(
         ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
         ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
+        ("record", RECORD),  # errors of forecasts beside what they claimed; see interval_scale
     ]
 )
 """What a predictor remembers of its observer, window and waves, besides the rows."""
@@ -153,6 +155,7 @@ class PlusWork(NamedTuple):
     solve: Any  # see SegmentWork
     change: Any  # see ChangeWork
     waves: Any  # of _fit_waves
+    spread: Any  # see RecordWork
 
 
 @inlined
@@ -162,6 +165,7 @@ def refit_work(work, p, capacity):
         linearise_work(work.line, p),
         segment_work(work.solve, p, capacity),
         change_work(work.change, p, capacity),
+        record_work(work.spread, p),
     )
 
 
@@ -235,7 +239,7 @@ def all_good(first, last, rows):
 
 
 @kernel
-def _take_segments(rows, window, selector, segments, config, model, work):
+def _take_segments(rows, window, selector, segments, nav, config, model, work):
     """Take the segments that are over into the window; return how many starts were tried."""
     newest, tried = last_row(window), 0
     # older rows have been overwritten, nearly all of them after a long gap
@@ -244,6 +248,9 @@ def _take_segments(rows, window, selector, segments, config, model, work):
         if all_good(start, start + config.steps, rows):
             add(start, rows, segments.params, segments, config, model, work)
             score(start, rows, selector, segments, config, model, work)
+            slot = start // config.spacing % selector.past.shape[0]
+            xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
+            compare_segment(start, rows, xi, covs, window.record, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
@@ -258,8 +265,10 @@ def take_segments(memory, config, work):
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
     scratch = refit_work(work, p, given.capacity)
-    window = as_record(memory.window, WINDOW)
-    return _take_segments(memory.rows, window, selector, segments, given, config.model, scratch)
+    window, nav = as_record(memory.window, WINDOW), as_record(memory.nav, NAVIGATION)
+    return _take_segments(
+        memory.rows, window, selector, segments, nav, given, config.model, scratch
+    )
 
 
 _WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
@@ -332,7 +341,8 @@ def _refit(memory, config, work):
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
     scratch = refit_work(work, p, given.capacity)
-    _take_segments(rows, window, selector, segments, given, model, scratch)
+    nav = as_record(memory.nav, NAVIGATION)
+    _take_segments(rows, window, selector, segments, nav, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
@@ -351,7 +361,6 @@ def _refit(memory, config, work):
         bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
     if selector.count[SCORED] >= SEGMENTS_MIN:
         place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
-        nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, selector, segments, given, model, scratch)
     if int(selector.count[CHOSEN]) == JOINT:
@@ -377,7 +386,7 @@ def plus_config_of(config):
 @inlined
 def plus_work_of(work):
     """Return a workspace by name from a plain tuple."""
-    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5])
+    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5], work[6])
 
 
 @kernel

@@ -1,0 +1,202 @@
+"""How large the errors of forecasts were beside what they claimed, and how far intervals shrink.
+
+The forecast of each segment that is over is made again from its first row: with the parameters that
+were in use then, and with parameters and velocities moved by their standard deviations. The signs
+of the moves are Walsh functions. Their products vanish over 64 forecasts, so that the mean square
+of the deviations is the variance that the forecast claims. Waves are left out, which makes it too
+small. Where the errors were smaller still, beyond chance, the intervals shrink.
+
+They never grow. An error larger than that of parameters and velocities is one of the waves, whose
+share of the intervals has a model of its own.
+
+Source: docs/explanation/twin.md, Waves and prediction intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twin.filters.linalg import cholesky
+from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
+from twin.model.rollout import GRID
+from twin.model.structure import N_STATES
+from usv_kernel.arrays import take
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "CHANNELS",
+    "POINTS",
+    "RECORD",
+    "RecordWork",
+    "compare_segment",
+    "factor_ahead",
+    "record_work",
+]
+
+POINTS, CHANNELS = 7, 5
+"""Times of a segment that are compared, evenly apart, and channels: place, heading, u, v, r."""
+
+RECORD = np.dtype(
+    [
+        ("segments", "f8"),  # how many were compared
+        ("share", "f8", (POINTS, CHANNELS)),  # mean of squared errors over the variances claimed
+    ]
+)
+"""What the errors of forecasts were beside what they claimed."""
+
+MEMORY = 30.0
+"""Segments over which the share is averaged."""
+
+MOVED = 4
+"""Moved forecasts of a segment."""
+
+CHANCE = 3.0
+"""Standard deviations by which the share is taken as larger than it was."""
+
+LEAST, MOST = 0.1, 10.0
+"""Least factor of an interval, and most that a single error counts."""
+
+
+class RecordWork(NamedTuple):
+    """Scratch of :func:`compare_segment`."""
+
+    root: Any  # (p, p) factor of the parameters' covariance
+    start: Any  # (3, 3) factor of that of the velocities
+    line: Any  # (1, p) scratch of the factors
+    xi: Any  # (p,) moved parameters
+    shock: Any  # (3,) moves of the velocities
+    path: Any  # (POINTS, 6) the forecast that is not moved
+    square: Any  # (POINTS, CHANNELS) its squared errors
+    variance: Any  # (POINTS, CHANNELS) mean square of the moved ones' deviations
+
+
+@inlined
+def record_work(work, p):
+    """Open the scratch of a comparison."""
+    root, at = take(work, 0, (p, p))
+    start, at = take(work, at, (3, 3))
+    line, at = take(work, at, (1, p))
+    xi, at = take(work, at, (p,))
+    shock, at = take(work, at, (3,))
+    path, at = take(work, at, (POINTS, N_STATES))
+    square, at = take(work, at, (POINTS, CHANNELS))
+    variance, at = take(work, at, (POINTS, CHANNELS))
+    return RecordWork(root, start, line, xi, shock, path, square, variance)
+
+
+@inlined
+def _walsh(i, j):
+    """Return 1 or -1: entry j of the Walsh function i."""
+    both, odd = i & j, 0
+    while both > 0:
+        odd ^= both & 1
+        both >>= 1
+    return 1.0 - 2.0 * odd
+
+
+@inlined
+def _square(channel, a, b):
+    """Return the squared difference of two states in a channel; of places by coordinate."""
+    if channel == 0:
+        return 0.5 * ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)
+    return (a[1 + channel] - b[1 + channel]) ** 2
+
+
+@kernel
+def _forecast(first, rows, xi, moved, config, model, work, line):
+    """Forecast a segment; compare it with the rows or, if it is moved, with the one that is not.
+
+    Returned is False where the motion leaves all bounds.
+    """
+    size, s, point = rows.shape[0], line.s, 0
+    row = rows[first % size]
+    for i in range(3):
+        s[i], s[3 + i] = row[i], row[LOW + i]
+        if moved:
+            s[3 + i] += work.shock[i]
+    drive(row[ACT:MIDDLE], line.terms[3])
+    for step in range(config.steps):
+        now, after = rows[(first + step) % size], rows[(first + step + 1) % size]
+        if not rk4_step(now, after, row[WIND:GOOD], xi, model, line, False):
+            return False
+        if (step + 1) * POINTS < (point + 1) * config.steps:
+            continue
+        for c in range(CHANNELS):
+            if moved:
+                work.variance[point, c] += _square(c, s, work.path[point]) / MOVED
+            else:
+                work.square[point, c] = _square(c, s, after)
+        if not moved:
+            for i in range(N_STATES):
+                work.path[point, i] = s[i]
+        point += 1
+    return True
+
+
+@kernel
+def compare_segment(first, rows, xi, covs, record, config, model, work):
+    """Compare the forecast of a segment from row ``first`` with what came.
+
+    ``xi`` (p,) are the parameters of then. ``covs`` are the covariance of the parameters (p, p),
+    and that of the navigation (6, 6).
+    """
+    cov, P = covs
+    scratch, p = work.spread, xi.shape[0]
+    if not _forecast(first, rows, xi, False, config, model, scratch, work.line):
+        return
+    cholesky(cov, scratch.root, scratch.line)
+    for i in range(3):
+        for k in range(3):
+            scratch.start[i, k] = P[3 + i, 3 + k]
+    cholesky(scratch.start, scratch.start, scratch.line)
+    scratch.variance[:] = 0.0
+    for m in range(MOVED):
+        number = int(record.segments) * MOVED + m
+        for k in range(p):
+            scratch.xi[k] = xi[k]
+        for j in range(p):
+            sign = _walsh(number, j + 1)
+            for k in range(j, p):
+                scratch.xi[k] += sign * scratch.root[j, k]
+        scratch.shock[:] = 0.0
+        for j in range(3):
+            sign = _walsh(number, p + j + 1)
+            for k in range(j, 3):
+                scratch.shock[k] += sign * scratch.start[j, k]
+        if not _forecast(first, rows, scratch.xi, True, config, model, scratch, work.line):
+            return  # of parameters that no boat has, no variance is known
+    record.segments += 1.0
+    weight = 1.0 / min(record.segments, MEMORY)
+    for k in range(POINTS):
+        for c in range(CHANNELS):
+            share = MOST
+            if scratch.square[k, c] < MOST * scratch.variance[k, c]:
+                share = scratch.square[k, c] / scratch.variance[k, c]
+            record.share[k, c] += weight * (share - record.share[k, c])
+
+
+@inlined
+def _factor(point, channel, record, config):
+    """Return the factor of the intervals of a channel at a point of a segment."""
+    # segments overlap: what they say of longer times is less independent
+    apart = min(1.0, config.spacing * POINTS / (config.steps * (point + 1.0)))
+    many = max(min(record.segments, MEMORY) * apart, 1.0)
+    share = record.share[point, channel] * (1.0 + CHANCE * math.sqrt(2.0 / many))
+    return math.sqrt(min(max(share, LEAST**2), 1.0))
+
+
+@inlined
+def factor_ahead(after, channel, record, config):
+    """Return the factor of the intervals of a channel a time ``after`` (s) ahead.
+
+    It is linear between the points of a segment, and the last one's beyond.
+    """
+    if record.segments == 0.0:
+        return 1.0
+    place = min(max(after / (config.steps * GRID) * POINTS - 1.0, 0.0), POINTS - 1.0)
+    k = min(int(place), POINTS - 2)
+    before = _factor(k, channel, record, config)
+    return before + (place - k) * (_factor(k + 1, channel, record, config) - before)
