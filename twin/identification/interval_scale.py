@@ -1,13 +1,13 @@
-"""How large the errors of forecasts were beside what they claimed, and how far intervals shrink.
+"""How large forecast errors were beside their claimed variance, and how far intervals shrink.
 
-The forecast of each segment that is over is made again from its first row: with the parameters that
-were in use then, and with parameters and velocities moved by their standard deviations. The signs
-of the moves are Walsh functions. Their products vanish over 64 forecasts, so that the mean square
-of the deviations is the variance that the forecast claims. Waves are left out, which makes it too
-small. Where the errors were smaller still, beyond chance, the intervals shrink.
+Each segment that is over is forecast again from its first row, with the parameters that were in use
+then. A few more forecasts have parameters and velocities moved by one standard deviation, up or
+down. The signs are Walsh functions, whose products average to zero over 64 forecasts. So the mean
+square of the deviations is the claimed variance. Waves are left out, which makes it too small.
+Where the errors were smaller still, beyond chance, the intervals shrink.
 
-They never grow. An error larger than that of parameters and velocities is one of the waves, whose
-share of the intervals has a model of its own.
+Intervals never grow. An error larger than that of parameters and velocities comes from waves, and
+these have a model of their own.
 
 Source: docs/explanation/twin.md, Waves and prediction intervals.
 """
@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import math
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from twin.filters.linalg import cholesky
 from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
@@ -37,27 +35,25 @@ __all__ = [
 ]
 
 POINTS, CHANNELS = 7, 5
-"""Times of a segment that are compared, evenly apart, and channels: place, heading, u, v, r."""
+"""Number of times compared in a segment, evenly apart; and channels: position, heading, u, v, r."""
 
-RECORD = np.dtype(
-    [
-        ("segments", "f8"),  # how many were compared
-        ("share", "f8", (POINTS, CHANNELS)),  # mean of squared errors over the variances claimed
-    ]
-)
-"""What the errors of forecasts were beside what they claimed."""
+RECORD = [
+    ("compared", "f8"),  # number of segments
+    ("share", "f8", (POINTS, CHANNELS)),  # mean squared error over claimed variance
+]
+"""Fields of the predictor's memory that this module reads and writes."""
 
 MEMORY = 30.0
-"""Segments over which the share is averaged."""
+"""Number of segments over which the share is averaged."""
 
 MOVED = 4
-"""Moved forecasts of a segment."""
+"""Number of moved forecasts of a segment."""
 
-CHANCE = 3.0
-"""Standard deviations by which the share is taken as larger than it was."""
+CHANCE = 2.0
+"""The share is taken as larger than it was by this many of its standard deviations."""
 
-LEAST, MOST = 0.1, 10.0
-"""Least factor of an interval, and most that a single error counts."""
+FACTOR_MIN, SHARE_MAX = 0.1, 10.0
+"""Least factor of an interval, and largest share of a single error."""
 
 
 class RecordWork(NamedTuple):
@@ -99,7 +95,7 @@ def _walsh(i, j):
 
 @inlined
 def _square(channel, a, b):
-    """Return the squared difference of two states in a channel; of places by coordinate."""
+    """Return the squared difference of two states in a channel, of positions per coordinate."""
     if channel == 0:
         return 0.5 * ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)
     return (a[1 + channel] - b[1 + channel]) ** 2
@@ -107,9 +103,9 @@ def _square(channel, a, b):
 
 @kernel
 def _forecast(first, rows, xi, moved, config, model, work, line):
-    """Forecast a segment; compare it with the rows or, if it is moved, with the one that is not.
+    """Forecast a segment and compare it: with its rows, or if moved with the forecast as it was.
 
-    Returned is False where the motion leaves all bounds.
+    Return False where the motion leaves all bounds.
     """
     size, s, point = rows.shape[0], line.s, 0
     row = rows[first % size]
@@ -138,10 +134,10 @@ def _forecast(first, rows, xi, moved, config, model, work, line):
 
 @kernel
 def compare_segment(first, rows, xi, covs, record, config, model, work):
-    """Compare the forecast of a segment from row ``first`` with what came.
+    """Compare the forecast of the segment from row ``first`` with what came.
 
-    ``xi`` (p,) are the parameters of then. ``covs`` are the covariance of the parameters (p, p),
-    and that of the navigation (6, 6).
+    ``xi`` (p,) are the parameters in use at its start. ``covs`` are the covariances of parameters
+    (p, p) and navigation (6, 6).
     """
     cov, P = covs
     scratch, p = work.spread, xi.shape[0]
@@ -154,7 +150,7 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
     cholesky(scratch.start, scratch.start, scratch.line)
     scratch.variance[:] = 0.0
     for m in range(MOVED):
-        number = int(record.segments) * MOVED + m
+        number = int(record.compared) * MOVED + m
         for k in range(p):
             scratch.xi[k] = xi[k]
         for j in range(p):
@@ -167,13 +163,13 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
             for k in range(j, 3):
                 scratch.shock[k] += sign * scratch.start[j, k]
         if not _forecast(first, rows, scratch.xi, True, config, model, scratch, work.line):
-            return  # of parameters that no boat has, no variance is known
-    record.segments += 1.0
-    weight = 1.0 / min(record.segments, MEMORY)
+            return  # no variance is known of parameters that no boat has
+    record.compared += 1.0
+    weight = 1.0 / min(record.compared, MEMORY)
     for k in range(POINTS):
         for c in range(CHANNELS):
-            share = MOST
-            if scratch.square[k, c] < MOST * scratch.variance[k, c]:
+            share = SHARE_MAX
+            if scratch.square[k, c] < SHARE_MAX * scratch.variance[k, c]:
                 share = scratch.square[k, c] / scratch.variance[k, c]
             record.share[k, c] += weight * (share - record.share[k, c])
 
@@ -181,20 +177,20 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
 @inlined
 def _factor(point, channel, record, config):
     """Return the factor of the intervals of a channel at a point of a segment."""
-    # segments overlap: what they say of longer times is less independent
+    # segments overlap, so that their errors at longer times are less independent
     apart = min(1.0, config.spacing * POINTS / (config.steps * (point + 1.0)))
-    many = max(min(record.segments, MEMORY) * apart, 1.0)
+    many = max(min(record.compared, MEMORY) * apart, 1.0)
     share = record.share[point, channel] * (1.0 + CHANCE * math.sqrt(2.0 / many))
-    return math.sqrt(min(max(share, LEAST**2), 1.0))
+    return math.sqrt(min(max(share, FACTOR_MIN**2), 1.0))
 
 
 @inlined
 def factor_ahead(after, channel, record, config):
-    """Return the factor of the intervals of a channel a time ``after`` (s) ahead.
+    """Return the factor of a channel's interval at a time ``after`` (s) ahead.
 
-    It is linear between the points of a segment, and the last one's beyond.
+    It is linear between the points of a segment, and constant beyond the last.
     """
-    if record.segments == 0.0:
+    if record.compared == 0.0:
         return 1.0
     place = min(max(after / (config.steps * GRID) * POINTS - 1.0, 0.0), POINTS - 1.0)
     k = min(int(place), POINTS - 2)

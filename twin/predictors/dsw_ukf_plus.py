@@ -249,7 +249,7 @@ class PlusPredictor(UKFPredictor):
         """See :meth:`ModelPredictor.fields`."""
         return {
             **super().fields(),
-            **{"window.halves": COUNT, "window.next_start": COUNT},
+            **dict.fromkeys(("window.halves", "window.next_start", "window.compared"), COUNT),
             "window.refit_at": Field(infinite=True),
             **with_prefix("segments", SEGMENT_FIELDS),
             **with_prefix("selector", SELECTOR_FIELDS),

@@ -280,7 +280,7 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
     refit = refit_config(config.refit, p)
     for row in range(own.plan.shape[0]):
         for k in range(N_STATES):
-            factor = factor_ahead(own.after[row], max(k - 1, 0), window.record, refit)
+            factor = factor_ahead(own.after[row], max(k - 1, 0), window, refit)
             for d in range(D):
                 value = out.states[d + 1, row, k]
                 if k >= 3:

@@ -118,7 +118,7 @@ WINDOW = np.dtype(
         ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
         ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
-        ("record", RECORD),  # errors of forecasts beside what they claimed; see interval_scale
+        *RECORD,
     ]
 )
 """What a predictor remembers of its observer, window and waves, besides the rows."""
@@ -250,7 +250,7 @@ def _take_segments(rows, window, selector, segments, nav, config, model, work):
             score(start, rows, selector, segments, config, model, work)
             slot = start // config.spacing % selector.past.shape[0]
             xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
-            compare_segment(start, rows, xi, covs, window.record, config, model, work)
+            compare_segment(start, rows, xi, covs, window, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
