@@ -42,6 +42,7 @@ from twin.motion.state import (
     wave_density,
 )
 from twin.particulars import GRAVITY
+from usv_kernel.arrays import alloca_f64, shaped
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
@@ -94,6 +95,9 @@ taken out of the other sensors."""
 MIXED = 0.3
 """A dead gyro counts for a rate of the boat that holds more than this part of it."""
 
+STATES_MAX = 8
+"""Largest number of states of a filter here."""
+
 START_SD = 0.2
 """Roll and pitch of a boat of which nothing is known, rad."""
 
@@ -108,39 +112,56 @@ def is_measured(z: Any) -> bool:
 
 
 @inlined
-def _correct(x, P, H, error, var, gate):
-    """Correct a state (4,) by one number whose measurement is H x; return whether it is used."""
-    n, a, b, c, d = x.shape[0], 0.0, 0.0, 0.0, 0.0
-    for j in range(n):
-        a += P[0, j] * H[j]
-        b += P[1, j] * H[j]
-        c += P[2, j] * H[j]
-        d += P[3, j] * H[j]
-    total = var + H[0] * a + H[1] * b + H[2] * c + H[3] * d
+def _correct(x, P, seen, error, var, gate):
+    """Correct a state by one number that measures one or two of its entries; return if it is used.
+
+    ``seen`` holds their places, the same twice for one.
+    """
+    n, i, j = x.shape[0], seen[0], seen[1]
+    both, PH = 1.0 if i != j else 0.0, alloca_f64(STATES_MAX)
+    for k in range(n):
+        PH[k] = P[k, i] + both * P[k, j]
+    total = var + PH[i] + both * PH[j]
     if error * error > gate * gate * total:
         return False
-    PH = a, b, c, d
-    for i in range(n):
-        x[i] += PH[i] * error / total
-    for i in range(n):
-        for j in range(n):
-            P[i, j] -= PH[i] * PH[j] / total
+    for k in range(n):
+        gain = PH[k] / total
+        x[k] += gain * error
+        for m in range(n):
+            P[k, m] -= gain * PH[m]
     return True
 
 
 @inlined
-def _propagate(P, F, n):
+def _propagate(P, F):
     """Write F P F' to P (4, 4), for F that is the identity but for its first two rows.
 
     ``F`` holds three numbers: of P[0, 1], of P[0, 2] and of P[1, 2].
     """
     a, b, c = F
-    for j in range(n):
+    for j in range(P.shape[0]):
         P[0, j] += a * P[1, j] + b * P[2, j]
         P[1, j] += c * P[2, j]
-    for i in range(n):
+    for i in range(P.shape[0]):
         P[i, 0] += a * P[i, 1] + b * P[i, 2]
         P[i, 1] += c * P[i, 2]
+
+
+@inlined
+def _turn(P, dt, turned):
+    """Propagate the covariance of both tilts over a step in which the boat turns by an angle.
+
+    An error of roll becomes one of pitch, while the errors of the sensors turn with the boat.
+    """
+    i, k, s = ANGLE, N_TILT + ANGLE, turned
+    for j in range(P.shape[0]):
+        roll, pitch = P[i, j], P[k, j]
+        P[i, j] = roll + s * pitch - dt * P[i + RATE_BIAS, j]
+        P[k, j] = pitch - s * roll - dt * P[k + RATE_BIAS, j]
+    for j in range(P.shape[0]):
+        roll, pitch = P[j, i], P[j, k]
+        P[j, i] = roll + s * pitch - dt * P[j, i + RATE_BIAS]
+        P[j, k] = pitch - s * roll - dt * P[j, k + RATE_BIAS]
 
 
 @inlined
@@ -157,13 +178,13 @@ def _fade(x, P, i, time, dt, sd):
 @inlined
 def _start(memory, given):
     """Begin with a level boat at rest, of which nothing is known."""
-    for k in range(2):
-        memory.tilt[k, :] = 0.0
-        memory.P[k, :, :] = 0.0
-        memory.P[k, ANGLE, ANGLE] = START_SD**2
-        memory.P[k, RATE_BIAS, RATE_BIAS] = given.gyro_bias**2
-        memory.P[k, AHRS_ERROR, AHRS_ERROR] = given.ahrs**2
-        memory.P[k, GRAVITY_ERROR, GRAVITY_ERROR] = (given.accel_bias / GRAVITY) ** 2
+    memory.tilt[:, :] = 0.0
+    memory.P[:, :] = 0.0
+    for k in range(0, 2 * N_TILT, N_TILT):
+        memory.P[k + ANGLE, k + ANGLE] = START_SD**2
+        memory.P[k + RATE_BIAS, k + RATE_BIAS] = given.gyro_bias**2
+        memory.P[k + AHRS_ERROR, k + AHRS_ERROR] = given.ahrs**2
+        memory.P[k + GRAVITY_ERROR, k + GRAVITY_ERROR] = (given.accel_bias / GRAVITY) ** 2
     memory.vertical[:] = 0.0
     memory.P_vertical[:, :] = 0.0
     memory.P_vertical[HEAVE, HEAVE] = 1.0
@@ -288,13 +309,14 @@ def take_attitude(t, dt, z, velocity, memory, given):
     has_lift = _fresh(z, dt, memory, 2)
     _note_planar(z, dt, memory)
     _integrate(dt, z, (has_p, has_q, has_lift), memory, given)
+    tilt, P = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P
     for k in range(2):
         if _fresh(z, dt, memory, 3 + k):
-            x, P = memory.tilt[k], memory.P[k]
-            error = z[AHRS_ROLL + k] - x[ANGLE] - x[AHRS_ERROR]
+            seen = k * N_TILT + ANGLE, k * N_TILT + AHRS_ERROR
+            error = z[AHRS_ROLL + k] - tilt[seen[0]] - tilt[seen[1]]
             gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
-            used = _correct(x, P, (1.0, 0.0, 1.0, 0.0), error, var, gate)
+            used = _correct(tilt, P, seen, error, var, gate)
             _count_refused(used, memory, 3 + k)
     _hold_to_gravity(dt, z, velocity, memory, given)
     _rise(dt, has_lift, memory, given)
@@ -341,16 +363,17 @@ def _integrate(dt, z, has, memory, given):
     roll_rate, pitch_rate = _angle_rates(phi + half * roll_rate, theta + half * pitch_rate, p, q, r)
     memory.tilt[0, ANGLE] = min(max(phi + dt * roll_rate, -1.5), 1.5)
     memory.tilt[1, ANGLE] = min(max(theta + dt * pitch_rate, -1.5), 1.5)
+    tilt, P = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P
+    _turn(P, dt, r * dt)
     for k in range(2):
-        x, P = memory.tilt[k], memory.P[k]
-        _propagate(P, (-dt, 0.0, 0.0), N_TILT)
+        at = k * N_TILT
         sd = RATE_SD if (lost_p if k == 0 else lost_q) else given.gyro
-        P[ANGLE, ANGLE] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
+        P[at, at] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
         if lost_r:  # roll becomes pitch, and pitch roll, as the boat turns
-            P[ANGLE, ANGLE] += (TURN_SD * memory.tilt[1 - k, ANGLE]) ** 2 * dt
-        _fade(x, P, RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
-        _fade(x, P, AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
-        _fade(x, P, GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
+            P[at, at] += (TURN_SD * memory.tilt[1 - k, ANGLE]) ** 2 * dt
+        _fade(tilt, P, at + RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
+        _fade(tilt, P, at + AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
+        _fade(tilt, P, at + GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
     _move_force(z, has_lift, memory, given)
 
 
@@ -408,13 +431,14 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
         cos = math.cos(theta[ANGLE])
         sin_roll = min(max((side - f[1]) / (GRAVITY * cos), -0.9), 0.9)
         sin_pitch = min(max((f[0] - ahead) / GRAVITY, -0.9), 0.9)
-        H = 1.0, 0.0, 0.0, 1.0
+        tilt = shaped(memory.tilt, 0, (2 * N_TILT,))
         for k in range(2):
-            x = memory.tilt[k]
-            error = math.asin(sin_roll if k == 0 else sin_pitch) - x[ANGLE] - x[GRAVITY_ERROR]
+            seen = k * N_TILT + ANGLE, k * N_TILT + GRAVITY_ERROR
+            shown = math.asin(sin_roll if k == 0 else sin_pitch)
+            error = shown - tilt[seen[0]] - tilt[seen[1]]
             # what lasts for seconds counts as often as it is new
             density = _learn_density(error, dt, memory.innovation[k]) if known else UNKNOWN_DENSITY
-            _correct(x, memory.P[k], H, error, density / dt, GATE)
+            _correct(tilt, memory.P, seen, error, density / dt, GATE)
     before[0], before[1] = u, v
 
 
@@ -448,7 +472,7 @@ def _rise(dt, has_lift, memory, given):
     power[1] += share * (lift * lift - power[1])
     x[HEAVE] += dt * x[CLIMB] + 0.5 * dt * dt * lift
     x[CLIMB] += dt * lift
-    _propagate(P, (dt, -0.5 * dt * dt, -dt), 4)
+    _propagate(P, (dt, -0.5 * dt * dt, -dt))
     density = LIFT_SD**2 * 0.5 if lost else given.accel**2 * dt
     P[CLIMB, CLIMB] += density * dt
     _fade(x, P, LIFT_BIAS, ACCEL_TIME, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
@@ -470,20 +494,20 @@ def _hold_to_fix(t, dt, z, memory, given):
         arm = p * b - q * a
         error = z[GPS_VZ] - speed - arm
         gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE
-        used = _correct(x, P, (0.0, 1.0, 0.0, 0.0), error, given.climb**2, gate)
+        used = _correct(x, P, (CLIMB, CLIMB), error, given.climb**2, gate)
         _count_refused(used, memory, 6)
     if has_z:
         arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
         error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
         gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
-        used = _correct(x, P, (1.0, 0.0, 0.0, 1.0), error, given.height**2, gate)
+        used = _correct(x, P, (HEAVE, HEIGHT_ERROR), error, given.height**2, gate)
         _count_refused(used, memory, 5)
     if memory.ages[6] > NO_FIX and dt > 0.0:
         power = memory.wave_power
         corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
         corner = min(max(corner, CORNER_RANGE[0]), CORNER_RANGE[1])
         var = given.accel**2 / corner**4
-        _correct(x, P, (1.0, 0.0, 0.0, 0.0), -x[HEAVE], var, math.inf)
+        _correct(x, P, (HEAVE, HEAVE), -x[HEAVE], var, math.inf)
 
 
 @inlined
@@ -492,7 +516,7 @@ def _is_sure(memory):
     ages, P = memory.ages, memory.P
     by_rate = ages[0] < FRESH and ages[1] < FRESH
     by_angle = ages[3] < FRESH and ages[4] < FRESH
-    var = max(P[0, ANGLE, ANGLE], P[1, ANGLE, ANGLE])
+    var = max(P[ANGLE, ANGLE], P[N_TILT + ANGLE, N_TILT + ANGLE])
     return (by_rate or by_angle) and var < SURE_SD**2
 
 

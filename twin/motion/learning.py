@@ -46,7 +46,7 @@ from twin.motion.forecast_state import (
     TRUST_TICKS,
     VERIFIED,
 )
-from twin.motion.state import ANGLE, CLIMB, HEAVE, NO_FIX, RATE_BIAS
+from twin.motion.state import ANGLE, CLIMB, HEAVE, N_TILT, NO_FIX, RATE_BIAS
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
@@ -380,10 +380,11 @@ def leak_variance(c, attitude, memory):
 def error_now(c, attitude, given):
     """Return the variance of the drifting error of the estimate of a channel."""
     if c <= PITCH:
-        return attitude.P[c, ANGLE, ANGLE]
+        at = c * N_TILT + ANGLE
+        return attitude.P[at, at]
     climb = attitude.P_vertical[CLIMB, CLIMB]
     if c == HEAVE_CHANNEL:
         return attitude.P_vertical[HEAVE, HEAVE]
     a, b = given.deck[0], given.deck[1]
-    rate = (a * a + b * b) * attitude.P[0, RATE_BIAS, RATE_BIAS]
+    rate = (a * a + b * b) * attitude.P[RATE_BIAS, RATE_BIAS]
     return climb + rate

@@ -85,7 +85,7 @@ deviation of heave that changes more slowly than that (m)."""
 ATTITUDE = np.dtype(
     [
         ("tilt", "f8", (2, N_TILT)),  # roll filter and pitch filter, see ANGLE
-        ("P", "f8", (2, N_TILT, N_TILT)),  # their covariances
+        ("P", "f8", (2 * N_TILT, 2 * N_TILT)),  # covariance of both
         ("vertical", "f8", N_VERTICAL),  # see HEAVE
         ("P_vertical", "f8", (N_VERTICAL, N_VERTICAL)),
         ("rate", "f8", 3),  # body rates of the last row without biases, rad/s

@@ -101,6 +101,32 @@ def test_claimed_deviations_are_those_of_the_errors(typical: list[Log]) -> None:
     assert (np.median(ratios, axis=0) < 1.5).all()
 
 
+def level_boat(rate: float, accel_bias: tuple[float, float], rows: int = 4000) -> DeckMotion:
+    """Estimates after a level boat at rest has turned at a rate, with biased accelerometers."""
+    rng, motion = np.random.default_rng(3), DeckMotion(BOAT)
+    z = np.full((rows, len(MEASUREMENTS)), np.nan)
+    z[:, [GYRO, GYRO_X, GYRO_X + 1]] = BOAT.instruments.gyro_sd * rng.standard_normal((rows, 3))
+    z[:, GYRO] += rate
+    force = *accel_bias, -9.81
+    z[:, [ACCEL_X, ACCEL_Y, ACCEL_Z]] = force + 1e-3 * rng.standard_normal((rows, 3))
+    for k in range(rows):
+        state = np.array([0.0, 0.0, 0.05 * rate * k, 0.0, 0.0, rate])
+        motion.take(0.05 * k, 0.05 if k else 0.0, z[k], state, True)
+    return motion
+
+
+@pytest.mark.parametrize("rate", [-0.3, 0.3])
+def test_a_turn_averages_the_bias_of_the_accelerometers(rate: float) -> None:
+    bias = 0.05, -0.05
+    straight, turning = (level_boat(r, bias).estimate() for r in (0.0, rate))
+    wrong = math.hypot(straight.roll, straight.pitch)
+    assert wrong == pytest.approx(math.hypot(*bias) / 9.81, rel=0.4)
+    assert math.hypot(turning.roll, turning.pitch) < 0.5 * wrong
+    # and the deviations say so
+    assert turning.sd[0] < 0.7 * straight.sd[0]
+    assert turning.sd[1] < 0.7 * straight.sd[1]
+
+
 def test_noise_of_gravity_is_what_the_innovations_show() -> None:
     """Accelerations that last for half a second hide gravity: the filter must find how many."""
     n, rng, sds = 4000, np.random.default_rng(1), []
