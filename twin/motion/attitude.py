@@ -33,6 +33,7 @@ from twin.motion.state import (
     N_TILT,
     NO_FIX,
     RATE_BIAS,
+    RATE_POWER,
     RING,
     SLOW_HEAVE,
     WAVE_ACCEL,
@@ -48,11 +49,15 @@ from usv_kernel.scalar import sincos
 
 __all__ = ["is_measured", "take_attitude", "turn_upright"]
 
-RATE_SD = 0.3
-"""Angular rate of a boat whose gyro is silent, rad/s."""
+RATE_MEMORY, RATE_ROWS = 60.0, 100.0
+"""How fast a boat rolls and pitches is learned over such a time, s; the first guess is worth so
+many rows."""
 
 TURN_SD = 0.1
 """Rate of turn of a boat whose gyro is silent, rad/s, times the root of the time it lasts, s."""
+
+TURN_TIME = 2.0
+"""For so long an error of roll lasts whose gyro is silent, s; likewise of pitch."""
 
 LIFT_SD = 2.0
 """Vertical acceleration of a boat whose accelerometer is silent, m/s2."""
@@ -172,6 +177,9 @@ def _start(memory, given):
     memory.P_vertical[HEIGHT_ERROR, HEIGHT_ERROR] = 1e4
     memory.rate[:] = 0.0
     memory.turning[:] = 0.0
+    memory.turned[:] = 0.0
+    memory.rate_power[:, 0] = RATE_POWER[0]
+    memory.rate_power[:, 1] = RATE_POWER[1]
     memory.force[0], memory.force[1], memory.force[2] = 0.0, 0.0, -GRAVITY
     memory.lift = memory.wave_speed = 0.0
     memory.wave_power[:] = 0.0
@@ -223,6 +231,8 @@ def _remember(t, memory):
         memory.tilt[1, ANGLE],
         memory.vertical[CLIMB],
     )
+    turned = memory.turned_ring[int(memory.rows) % RING]
+    turned[0], turned[1] = memory.turned[0], memory.turned[1]
     memory.rows += 1.0
 
 
@@ -253,6 +263,22 @@ def _when(t, now, memory):
 
 
 @inlined
+def _turned_since(t, now, k, memory):
+    """Return by how much roll (k = 0) or pitch has changed since a time.
+
+    The row of ``now`` is not in the ring yet.
+    """
+    place, newest = _place_of(t, memory), int(memory.rows) - 1
+    before, turned = memory.ring[place, 0], memory.turned_ring[place, k]
+    after, until = now, memory.turned[k]
+    if place != newest % RING:
+        later = (place + 1) % RING
+        after, until = memory.ring[later, 0], memory.turned_ring[later, k]
+    share = (t - before) / (after - before) if after > before else 1.0
+    return memory.turned[k] - turned - min(max(share, 0.0), 1.0) * (until - turned)
+
+
+@inlined
 def _turned(m, a, b, c, i):
     """Return entry i of a matrix times a vector."""
     return m[i, 0] * a + m[i, 1] * b + m[i, 2] * c
@@ -274,8 +300,9 @@ def take_attitude(t, dt, z, velocity, memory, given):
         Time, and time since the row before, s.
     z : ndarray, shape (19,)
         In the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
-    velocity : ndarray, shape (2,)
-        Speed forward and to starboard, as the twin has it, m/s; NaN where it has none.
+    velocity : ndarray, shape (3,)
+        Speed forward and to starboard (m/s) and rate of turn (rad/s), as the twin has them; NaN
+        where it has none.
     memory : record of ``ATTITUDE``
         Advanced in place.
     given : record of ``ATTITUDE_SETTINGS``
@@ -284,17 +311,21 @@ def take_attitude(t, dt, z, velocity, memory, given):
     if memory.rows == 0.0 or not 0.0 < dt <= GAP:
         _start(memory, given)
     dt = min(max(dt, 0.0), GAP)
+    were_lost = _lost_rates(memory, given)
     has_p, has_q = _fresh(z, dt, memory, 0), _fresh(z, dt, memory, 1)
     has_lift = _fresh(z, dt, memory, 2)
     _note_planar(z, dt, memory)
-    _integrate(dt, z, (has_p, has_q, has_lift), memory, given)
+    _integrate(dt, z, (has_p, has_q, has_lift), were_lost, velocity[2], memory, given)
     for k in range(2):
         if _fresh(z, dt, memory, 3 + k):
-            x, P = memory.tilt[k], memory.P[k]
+            x, P, late = memory.tilt[k], memory.P[k], given.ahrs_latency
             error = z[AHRS_ROLL + k] - x[ANGLE] - x[AHRS_ERROR]
+            if late > 0.0 and memory.rows > 0.0:
+                # compared with the angle of then: what is known now, less what was turned since
+                error += _turned_since(t - late, t, k, memory)
             gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
-            used = _correct(x, P, (1.0, 0.0, 1.0, 0.0), error, var, gate)
+            used = _correct(x, P, (1.0, late, 1.0, 0.0), error, var, gate)
             _count_refused(used, memory, 3 + k)
     _hold_to_gravity(dt, z, velocity, memory, given)
     _rise(dt, has_lift, memory, given)
@@ -303,8 +334,21 @@ def take_attitude(t, dt, z, velocity, memory, given):
 
 
 @inlined
-def _integrate(dt, z, has, memory, given):
-    """Turn the boat by the mean of the rates of this row and the one before."""
+def _lost_rates(memory, given):
+    """Return whether the gyros that show the rates of roll and of pitch are silent for long."""
+    M, dead_x, dead_y = given.mounting, memory.ages[0] > HELD, memory.ages[1] > HELD
+    return (
+        (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED),
+        (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED),
+    )
+
+
+@inlined
+def _integrate(dt, z, has, were_lost, turn, memory, given):
+    """Turn the boat by the mean of the rates of this row and the one before.
+
+    ``turn`` is the twin's rate of turn, for where the gyro is silent.
+    """
     has_p, has_q, has_lift = has
     before, rate, M = memory.rate, memory.rate, given.mounting
     lost_r = memory.planar_ages[0] > HELD
@@ -315,7 +359,7 @@ def _integrate(dt, z, has, memory, given):
     last = (
         memory.tilt[0, RATE_BIAS] + (0.0 if dead_x or dead_y else old[0]),
         memory.tilt[1, RATE_BIAS] + (0.0 if dead_x or dead_y else old[1]),
-        0.0 if lost_r else old[2],
+        turn if lost_r and abs(turn) < LIMITS[0] else 0.0 if lost_r else old[2],
     )
     raw = (
         z[GYRO_X] if has_p else _seen(M, last[0], last[1], last[2], 0),
@@ -325,12 +369,13 @@ def _integrate(dt, z, has, memory, given):
     p = _turned(M, raw[0], raw[1], raw[2], 0) - memory.tilt[0, RATE_BIAS]
     q = _turned(M, raw[0], raw[1], raw[2], 1) - memory.tilt[1, RATE_BIAS]
     r = _turned(M, raw[0], raw[1], raw[2], 2)
-    lost_p = (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED)
-    lost_q = (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED)
+    lost_p, lost_q = _lost_rates(memory, given)
     p, q = 0.0 if lost_p else p, 0.0 if lost_q else q
     rate[0], rate[1], rate[2] = p, q, r
     if memory.rows == 0.0:
         old = p, q, r
+    # a gyro that comes back says nothing of the row before
+    old = p if were_lost[0] else old[0], q if were_lost[1] else old[1], old[2]
     if dt > 0.0:
         for i in range(3):
             memory.turning[i] = (rate[i] - old[i]) / dt
@@ -341,17 +386,59 @@ def _integrate(dt, z, has, memory, given):
     roll_rate, pitch_rate = _angle_rates(phi + half * roll_rate, theta + half * pitch_rate, p, q, r)
     memory.tilt[0, ANGLE] = min(max(phi + dt * roll_rate, -1.5), 1.5)
     memory.tilt[1, ANGLE] = min(max(theta + dt * pitch_rate, -1.5), 1.5)
+    memory.turned[0] += dt * roll_rate
+    memory.turned[1] += dt * pitch_rate
     for k in range(2):
         x, P = memory.tilt[k], memory.P[k]
         _propagate(P, (-dt, 0.0, 0.0), N_TILT)
-        sd = RATE_SD if (lost_p if k == 0 else lost_q) else given.gyro
-        P[ANGLE, ANGLE] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
+        P[ANGLE, ANGLE] += (given.gyro * dt) ** 2
+        age, lost = _age_of(k, memory, given), lost_p if k == 0 else lost_q
+        if age > 0.0 or lost:
+            P[ANGLE, ANGLE] += _unseen(dt, age, lost, memory.rate_power[k])
+        else:
+            _learn_power(dt, k, memory)
+        if lost_q if k == 0 else lost_p:  # a turn makes an error of the one one of the other
+            P[ANGLE, ANGLE] += TURN_TIME * r * r * memory.P[1 - k, ANGLE, ANGLE] * dt
         if lost_r:  # roll becomes pitch, and pitch roll, as the boat turns
-            P[ANGLE, ANGLE] += (TURN_SD * memory.tilt[1 - k, ANGLE]) ** 2 * dt
+            other = memory.tilt[1 - k, ANGLE] ** 2 + memory.P[1 - k, ANGLE, ANGLE]
+            P[ANGLE, ANGLE] += TURN_SD**2 * other * dt
         _fade(x, P, RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
         _fade(x, P, AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
         _fade(x, P, GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
     _move_force(z, has_lift, memory, given)
+
+
+@inlined
+def _age_of(k, memory, given):
+    """Return how long a gyro has been silent that counts for the rate of roll or pitch, s."""
+    age, M = 0.0, given.mounting
+    for i in range(3):
+        silent = memory.planar_ages[0] if i == 2 else memory.ages[i]
+        age = max(age, silent) if abs(M[k, i]) > MIXED else age
+    return age
+
+
+@inlined
+def _unseen(dt, age, lost, power):
+    """Return what the variance of an angle grows by in a step without a sample of its gyro.
+
+    A rate that is held is off by its derivative times its age; for one that is lost, the boat
+    swings on. Both are as large as they were of late.
+    """
+    if lost:
+        return 2.0 * power[0] * dt * math.sqrt(power[0] / power[1])
+    return 0.25 * power[1] * (age**4 - max(age - dt, 0.0) ** 4)
+
+
+@inlined
+def _learn_power(dt, k, memory):
+    """Learn how fast roll or pitch changes, and how fast that does."""
+    share = max(min(dt / RATE_MEMORY, 1.0), 1.0 / (memory.rows + RATE_ROWS))
+    power = memory.rate_power[k]
+    power[0] += share * (memory.rate[k] ** 2 - power[0])
+    power[1] += share * (memory.turning[k] ** 2 - power[1])
+    # a boat at rest may begin to move
+    power[0], power[1] = max(power[0], 1e-6), max(power[1], 1e-6)
 
 
 @inlined
@@ -400,7 +487,8 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
     """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
     before, u, v = memory.velocity, velocity[0], velocity[1]
     ages = memory.planar_ages
-    if ages[1] == 0.0 and ages[2] == 0.0 and ages[0] <= HELD and dt > 0.0:
+    turns = ages[0] <= HELD or abs(velocity[2]) < LIMITS[0]
+    if ages[1] == 0.0 and ages[2] == 0.0 and turns and dt > 0.0:
         f, r, theta = memory.force, memory.rate[2], memory.tilt[1]
         known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
         ahead = (u - before[0]) / dt - v * r if known else 0.0
@@ -510,13 +598,17 @@ def turn_upright(heading, memory, given, z):
     d, e = sincos(theta)
     p, q, r = memory.rate[0], memory.rate[1], memory.rate[2]
     # samples that repeat themselves stay as they are: whoever checks them must see it
-    if memory.planar_new > 0.0:
-        turn = (q * s + r * c) / e
+    turn, ages = (q * s + r * c) / e, memory.planar_ages
+    if ages[0] == 0.0:
+        z[GYRO] = turn
+    if max(ages[1], ages[2]) > HELD and min(ages[1], ages[2]) <= HELD:
+        # but nobody else sees a single axis that is dead
+        z[ACCEL_X] = z[ACCEL_Y] = math.nan
+    elif memory.planar_new > 0.0:
         f, arm = memory.force, given.imu_arm
         low = s * f[1] + c * f[2]
         ahead, side = e * f[0] + d * low, c * f[1] - s * f[2]
         # what turning adds at the IMU of an upright boat
-        z[GYRO] = turn
         z[ACCEL_X] = ahead - memory.turning[2] * arm[1] - turn * turn * arm[0]
         z[ACCEL_Y] = side + memory.turning[2] * arm[0] - turn * turn * arm[1]
     a, b, down = given.gps_arm[0], given.gps_arm[1], given.gps_arm[2]
