@@ -42,7 +42,7 @@ FORWARD = 0.4
 """Where the deck point lies if nothing is said: lengths forward of the origin."""
 
 LATENCY_MAX = 10.0
-"""Largest age of a fix, s."""
+"""Largest age of a sample when it arrives, s."""
 
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
@@ -112,8 +112,8 @@ class Instruments:
         Yaw rate: white noise per sample and bias, rad/s.
     accel_sd, accel_bias_sd : float
         Specific force: white noise per sample and bias, m/s2.
-    gps_latency : float
-        Age of a fix when it arrives, s; up to 10.
+    gps_latency, compass_latency, ahrs_latency : float
+        Age of a fix, a heading, and roll and pitch of an AHRS when they arrive, s; up to 10.
     gps_arm, imu_arm : tuple of float
         Where antenna and IMU sit: m forward, to starboard and down of the origin, which is the
         point whose position and velocity are wanted. The last of the three may be left out.
@@ -140,6 +140,8 @@ class Instruments:
     accel_sd: float = 0.12
     accel_bias_sd: float = 0.05
     gps_latency: float = 0.1
+    compass_latency: float = 0.0
+    ahrs_latency: float = 0.0
     gps_arm: tuple[float, ...] = (0.0, 0.0, 0.0)
     imu_arm: tuple[float, ...] = (0.0, 0.0, 0.0)
     imu_mounting: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -170,10 +172,10 @@ class Instruments:
                 "wind_height",
             ),
         )
-        if self.gps_latency > LATENCY_MAX:
-            raise ParticularsError(
-                f"gps_latency = {self.gps_latency} must be {LATENCY_MAX:g} s or less"
-            )
+        for name in ("gps_latency", "compass_latency", "ahrs_latency"):
+            latency = getattr(self, name)
+            if latency > LATENCY_MAX:
+                raise ParticularsError(f"{name} = {latency} must be {LATENCY_MAX:g} s or less")
         for name in ("gps_arm", "imu_arm", "imu_mounting"):
             given = tuple(map(float, getattr(self, name)))
             object.__setattr__(self, name, (*given, 0.0)[:3])

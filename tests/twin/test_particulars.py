@@ -50,7 +50,7 @@ def test_load_fills_in_what_is_left_out(tmp_path: Path) -> None:
 
 MAY_BE_ZERO = (
     *("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "gps_latency", "tilt_sd"),
-    "height_bias_sd",
+    *("height_bias_sd", "compass_latency", "ahrs_latency"),
 )
 ARMS = ("gps_arm", "imu_arm")
 TRIPLES = (*ARMS, "imu_mounting")
@@ -68,7 +68,7 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
                 st.tuples(place, place, place)
                 if item.name in TRIPLES
                 else st.floats(0.0, 10.0)
-                if item.name == "gps_latency"
+                if item.name.endswith("_latency")
                 else zero_or_more
                 if item.name in MAY_BE_ZERO
                 else above_zero
@@ -135,9 +135,10 @@ def test_impossible_arms_are_refused(name: str, value: Any) -> None:
         Instruments(**{name: value})
 
 
-def test_too_large_latency_is_refused() -> None:
-    with pytest.raises(ParticularsError, match=r"^gps_latency = 11\.0 must be 10 s or less"):
-        Instruments(gps_latency=11.0)
+@pytest.mark.parametrize("sensor", ["gps", "compass", "ahrs"])
+def test_too_large_latency_is_refused(sensor: str) -> None:
+    with pytest.raises(ParticularsError, match=rf"^{sensor}_latency = 11\.0 must be 10 s or less"):
+        Instruments(**{f"{sensor}_latency": 11.0})
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.health.commands import CHANGED, check_commands
-from twin.health.heading import check_course, check_heading
+from twin.health.heading import check_course, check_heading, turn_to_now
 from twin.health.position import check_position
 from twin.health.samples import (
     COMPASS_MAX,
@@ -76,7 +76,8 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     health, given : record
         ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
     out : ndarray, shape (19,)
-        The row without the samples of excluded sensors, and with the true wind of an anemometer.
+        The row without the samples of excluded sensors, with the heading of now and the true wind
+        of an anemometer.
     """
     health.clock += dt
     possible = _take_state(s, health, given)
@@ -96,4 +97,5 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     note_absence(dt, health)
     leave_out(health, out)
+    turn_to_now(dt, out, new_compass, health, given)
     check_wind(dt, out, state, usable, health, given)

@@ -29,12 +29,13 @@ from twin.health.state import (
     JUMPED,
     NO_REASON,
     OK,
+    TURN_RING,
 )
 from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
-__all__ = ["check_course", "check_heading", "is_late"]
+__all__ = ["check_course", "check_heading", "is_late", "turn_to_now"]
 
 SUM_TIME = 3.0
 """Time constant of the leaky sum of compass minus gyro, s: well below that of a gyro's drift,
@@ -232,6 +233,41 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
     if math.isfinite(step) and health.gyro_gap < GAP_SHARE * T and T < STEP_MAX:
         _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
     health.gyro_turn = health.gyro_time = health.gyro_gap = 0.0
+
+
+@inlined
+def _turned_until(t, health):
+    """Return the integral of the yaw rate at a past time, from the rows that are kept."""
+    newest, kept = int(health.turn_rows) - 1, min(int(health.turn_rows), TURN_RING)
+    back = 0
+    while back < kept - 1 and health.turn_ring[(newest - back) % TURN_RING, 0] > t:
+        back += 1
+    old = health.turn_ring[(newest - back) % TURN_RING]
+    new = health.turn_ring[(newest - max(back - 1, 0)) % TURN_RING]
+    share = (t - old[0]) / (new[0] - old[0]) if new[0] > old[0] else 0.0
+    return old[1] + min(max(share, 0.0), 1.0) * (new[1] - old[1])
+
+
+@kernel
+def turn_to_now(dt, out, new_compass, health, given):
+    """Add to a heading that is late what the boat turned since it was measured.
+
+    Filters then take it for one of now. The turn is that of the gyro or, where it is silent, of
+    the compass itself. The predictor's yaw rate would feed its own error back to it.
+    """
+    late = given.compass_latency
+    if not late > 0.0:
+        return
+    rate = out[GYRO] - health.gyro_bias if math.isfinite(out[GYRO]) else health.compass_rate
+    health.turned += 0.5 * (rate + health.turn_rate) * dt
+    health.turn_rate = rate
+    row = health.turn_ring[int(health.turn_rows) % TURN_RING]
+    row[0], row[1] = health.clock, health.turned
+    health.turn_rows += 1.0
+    # a value that repeats itself must stay one that does
+    if new_compass:
+        health.turn_late = health.turned - _turned_until(health.clock - late, health)
+    out[COMPASS] += health.turn_late
 
 
 @inlined

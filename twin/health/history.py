@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Callable
 from typing import NamedTuple
 
 from twin.health.monitor import SensorMonitor, SensorStatus
@@ -32,24 +33,35 @@ class HealthHistory:
     ----------
     monitor : SensorMonitor
         The checks, which others advance.
+    silent : callable, optional
+        Returns the names of the channels of roll, pitch and heave that are silent now, each with
+        the time since its last sample (s) and the reason.
     """
 
-    def __init__(self, monitor: SensorMonitor) -> None:
-        self._monitor = monitor
+    def __init__(
+        self,
+        monitor: SensorMonitor,
+        silent: Callable[[], dict[str, tuple[float, str]]] | None = None,
+    ) -> None:
+        self._monitor, self._silent = monitor, silent
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self._changes: list[_Change] = []
-        self._last = b""
+        self._last: tuple[bytes, tuple[str, ...]] = b"", ()
 
     def take(self, t: float, begin: float) -> None:
         """Note what changed in the row of time t; the first row was at ``begin``, s."""
+        silent = self._silent() if self._silent is not None else {}
         # bytes: this runs in every row
-        status = self._monitor.memory[_STATUS].tobytes()
+        status = self._monitor.memory[_STATUS].tobytes(), tuple(silent)
         if status != self._last:
             self._last = status
-            self._changes.append(_Change(t, self._monitor.statuses(begin)))
+            found = self._monitor.statuses(begin)
+            for name, (age, why) in silent.items():
+                found[name] = SensorStatus("excluded", t - age, why)
+            self._changes.append(_Change(t, found))
             del self._changes[:-KEPT]
 
     def at(self, t: float) -> dict[str, SensorStatus]:
@@ -64,10 +76,12 @@ class HealthHistory:
         A sensor that has never given a sample is not there, and leaves none.
         """
         lines: list[tuple[float, str]] = []
-        for sensor in SENSORS:
+        channels = {name for change in self._changes for name in change.statuses} - set(SENSORS)
+        for sensor in (*SENSORS, *sorted(channels)):
             spans: list[SensorStatus] = []
             for change in self._changes:
-                status = change.statuses[sensor]
+                # a channel of roll, pitch or heave is named only while it is silent
+                status = change.statuses.get(sensor, SensorStatus("ok", change.t, ""))
                 if not spans or spans[-1].status != status.status:
                     spans.append(status)
             ends = [f"to {span.since:.1f} s" for span in spans[1:]] + ["s on"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
-from twin.checkpoint import Field, State, check_fields, fill, record_views
+from twin.checkpoint import COUNT, Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
     COMPASS_SENSOR,
@@ -192,11 +192,13 @@ class SensorMonitor:
             Names the field that is missing or damaged.
         """
         views = self.views()
-        if not any(name.startswith("wind.") for name in state):
-            # saved before there were anemometers: nothing is known of the wind
-            blank = SensorMonitor.__new__(SensorMonitor)
-            blank.remember(initial_health())
-            state = blank.state_dict() | state
+        blank = SensorMonitor.__new__(SensorMonitor)
+        blank.remember(initial_health())
+        # saved before there were anemometers, or compasses that are known to be late
+        for group in ("wind.", "turn"):
+            if not any(name.startswith(group) for name in state):
+                new = {k: v for k, v in blank.state_dict().items() if k.startswith(group)}
+                state = new | state
         check_fields(state, views, FIELDS)
         fill(views, state)
 
@@ -211,6 +213,7 @@ FIELDS = {
     "wind.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
     "wind.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
     **dict.fromkeys(("wind.silent", "wind.age", "wind.known", "wind.changing"), Field(low=0.0)),
+    "turn_rows": COUNT,
     "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
     **dict.fromkeys(

@@ -133,6 +133,9 @@ FILTER = np.dtype(
 )
 """The filters of yaw and surge by one hypothesis; see ``twin.health.drive_filters``."""
 
+TURN_RING = 64
+"""Rows that are kept for a compass that comes late."""
+
 HEALTH = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
@@ -140,6 +143,11 @@ HEALTH = np.dtype(
         ("sensors", CHECK, len(SENSORS)),
         ("last", "f8", 8),  # last sample of each channel; NaN before the first
         # heading: compass against gyro and course
+        ("turned", "f8"),  # integral of the yaw rate, for a compass that is late, rad
+        ("turn_rate", "f8"),  # yaw rate of the row before, rad/s
+        ("turn_rows", "f8"),  # rows in the ring so far
+        ("turn_ring", "f8", (TURN_RING, 2)),  # time and that integral of past rows
+        ("turn_late", "f8"),  # what the boat turned since the last heading was measured, rad
         ("gyro_turn", "f8"),  # integral of the gyro since the last compass sample, rad
         ("gyro_time", "f8"),  # time since then, s
         ("gyro_gap", "f8"),  # part of it without gyro, s
@@ -234,6 +242,7 @@ HEALTH_SETTINGS = np.dtype(
         ("lag", "f8"),  # of shafts and drives, s
         ("sides", "f8"),  # 1 for a boat with a thruster on each side, else 0
         ("wind_gain", "f8"),  # wind 10 m above the sea over that at the anemometer
+        ("compass_latency", "f8"),  # declared age of a heading, s
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -272,6 +281,7 @@ def health_settings(particulars: Particulars) -> Array:
             max(particulars.shaft_lag, particulars.steer_lag),
             particulars.steering != "rudder",
             (REFERENCE_HEIGHT / I.wind_height) ** PROFILE,
+            I.compass_latency,
         ]
     )
 

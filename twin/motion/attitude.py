@@ -13,6 +13,7 @@ import math
 from typing import Any
 
 from twin.channels import AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT, MOTION_END
+from twin.motion.linear import correct, fade, propagate, turn_covariance
 from twin.motion.state import (
     ACCEL_TIME,
     AHRS_ERROR,
@@ -33,6 +34,7 @@ from twin.motion.state import (
     N_TILT,
     NO_FIX,
     RATE_BIAS,
+    RATE_POWER,
     RING,
     SLOW_HEAVE,
     WAVE_ACCEL,
@@ -42,15 +44,16 @@ from twin.motion.state import (
     wave_density,
 )
 from twin.particulars import GRAVITY
-from usv_kernel.arrays import alloca_f64, shaped
+from usv_kernel.arrays import shaped
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
 __all__ = ["is_measured", "take_attitude", "turn_upright"]
 
-RATE_SD = 0.3
-"""Angular rate of a boat whose gyro is silent, rad/s."""
+RATE_MEMORY, RATE_ROWS = 60.0, 100.0
+"""How fast a boat rolls and pitches is learned over such a time, s; the first guess is worth so
+many rows."""
 
 TURN_SD = 0.1
 """Rate of turn of a boat whose gyro is silent, rad/s, times the root of the time it lasts, s."""
@@ -95,9 +98,6 @@ taken out of the other sensors."""
 MIXED = 0.3
 """A dead gyro counts for a rate of the boat that holds more than this part of it."""
 
-STATES_MAX = 8
-"""Largest number of states of a filter here."""
-
 START_SD = 0.2
 """Roll and pitch of a boat of which nothing is known, rad."""
 
@@ -109,70 +109,6 @@ def is_measured(z: Any) -> bool:
     for k in range(MOTION_AT, MOTION_END):
         found = found or math.isfinite(z[k])
     return found
-
-
-@inlined
-def _correct(x, P, seen, error, var, gate):
-    """Correct a state by one number that measures one or two of its entries; return if it is used.
-
-    ``seen`` holds their places, the same twice for one.
-    """
-    n, i, j = x.shape[0], seen[0], seen[1]
-    both, PH = 1.0 if i != j else 0.0, alloca_f64(STATES_MAX)
-    for k in range(n):
-        PH[k] = P[k, i] + both * P[k, j]
-    total = var + PH[i] + both * PH[j]
-    if error * error > gate * gate * total:
-        return False
-    for k in range(n):
-        gain = PH[k] / total
-        x[k] += gain * error
-        for m in range(n):
-            P[k, m] -= gain * PH[m]
-    return True
-
-
-@inlined
-def _propagate(P, F):
-    """Write F P F' to P (4, 4), for F that is the identity but for its first two rows.
-
-    ``F`` holds three numbers: of P[0, 1], of P[0, 2] and of P[1, 2].
-    """
-    a, b, c = F
-    for j in range(P.shape[0]):
-        P[0, j] += a * P[1, j] + b * P[2, j]
-        P[1, j] += c * P[2, j]
-    for i in range(P.shape[0]):
-        P[i, 0] += a * P[i, 1] + b * P[i, 2]
-        P[i, 1] += c * P[i, 2]
-
-
-@inlined
-def _turn(P, dt, turned):
-    """Propagate the covariance of both tilts over a step in which the boat turns by an angle.
-
-    An error of roll becomes one of pitch, while the errors of the sensors turn with the boat.
-    """
-    i, k, s = ANGLE, N_TILT + ANGLE, turned
-    for j in range(P.shape[0]):
-        roll, pitch = P[i, j], P[k, j]
-        P[i, j] = roll + s * pitch - dt * P[i + RATE_BIAS, j]
-        P[k, j] = pitch - s * roll - dt * P[k + RATE_BIAS, j]
-    for j in range(P.shape[0]):
-        roll, pitch = P[j, i], P[j, k]
-        P[j, i] = roll + s * pitch - dt * P[j, i + RATE_BIAS]
-        P[j, k] = pitch - s * roll - dt * P[j, k + RATE_BIAS]
-
-
-@inlined
-def _fade(x, P, i, time, dt, sd):
-    """Let a first-order Gauss-Markov state fade, and grow its variance."""
-    stay = math.exp(-dt / time)
-    x[i] *= stay
-    for j in range(x.shape[0]):
-        P[i, j] *= stay
-        P[j, i] *= stay
-    P[i, i] += (1.0 - stay * stay) * sd * sd
 
 
 @inlined
@@ -193,6 +129,9 @@ def _start(memory, given):
     memory.P_vertical[HEIGHT_ERROR, HEIGHT_ERROR] = 1e4
     memory.rate[:] = 0.0
     memory.turning[:] = 0.0
+    memory.turned[:] = 0.0
+    memory.rate_power[:, 0] = RATE_POWER[0]
+    memory.rate_power[:, 1] = RATE_POWER[1]
     memory.force[0], memory.force[1], memory.force[2] = 0.0, 0.0, -GRAVITY
     memory.lift = memory.wave_speed = 0.0
     memory.wave_power[:] = 0.0
@@ -244,6 +183,8 @@ def _remember(t, memory):
         memory.tilt[1, ANGLE],
         memory.vertical[CLIMB],
     )
+    turned = memory.turned_ring[int(memory.rows) % RING]
+    turned[0], turned[1] = memory.turned[0], memory.turned[1]
     memory.rows += 1.0
 
 
@@ -274,6 +215,22 @@ def _when(t, now, memory):
 
 
 @inlined
+def _turned_since(t, now, k, memory):
+    """Return by how much roll (k = 0) or pitch has changed since a time.
+
+    The row of ``now`` is not in the ring yet.
+    """
+    place, newest = _place_of(t, memory), int(memory.rows) - 1
+    before, turned = memory.ring[place, 0], memory.turned_ring[place, k]
+    after, until = now, memory.turned[k]
+    if place != newest % RING:
+        later = (place + 1) % RING
+        after, until = memory.ring[later, 0], memory.turned_ring[later, k]
+    share = (t - before) / (after - before) if after > before else 1.0
+    return memory.turned[k] - turned - min(max(share, 0.0), 1.0) * (until - turned)
+
+
+@inlined
 def _turned(m, a, b, c, i):
     """Return entry i of a matrix times a vector."""
     return m[i, 0] * a + m[i, 1] * b + m[i, 2] * c
@@ -295,8 +252,9 @@ def take_attitude(t, dt, z, velocity, memory, given):
         Time, and time since the row before, s.
     z : ndarray, shape (19,)
         In the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
-    velocity : ndarray, shape (2,)
-        Speed forward and to starboard, as the twin has it, m/s; NaN where it has none.
+    velocity : ndarray, shape (3,)
+        Speed forward and to starboard (m/s) and rate of turn (rad/s), as the twin has them; NaN
+        where it has none.
     memory : record of ``ATTITUDE``
         Advanced in place.
     given : record of ``ATTITUDE_SETTINGS``
@@ -305,18 +263,22 @@ def take_attitude(t, dt, z, velocity, memory, given):
     if memory.rows == 0.0 or not 0.0 < dt <= GAP:
         _start(memory, given)
     dt = min(max(dt, 0.0), GAP)
+    silent = _age_of(0, memory, given) > 0.0, _age_of(1, memory, given) > 0.0
     has_p, has_q = _fresh(z, dt, memory, 0), _fresh(z, dt, memory, 1)
     has_lift = _fresh(z, dt, memory, 2)
     _note_planar(z, dt, memory)
-    _integrate(dt, z, (has_p, has_q, has_lift), memory, given)
-    tilt, P = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P
+    _integrate(dt, z, (has_p, has_q, has_lift), silent, velocity[2], memory, given)
+    tilt, P, late = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P, given.ahrs_latency
     for k in range(2):
         if _fresh(z, dt, memory, 3 + k):
             seen = k * N_TILT + ANGLE, k * N_TILT + AHRS_ERROR
             error = z[AHRS_ROLL + k] - tilt[seen[0]] - tilt[seen[1]]
+            if late > 0.0 and memory.rows > 0.0:
+                # compared with the angle of then: what is known now, less what was turned since
+                error += _turned_since(t - late, t, k, memory)
             gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
-            used = _correct(tilt, P, seen, error, var, gate)
+            used = correct(tilt, P, seen, error, var, gate)
             _count_refused(used, memory, 3 + k)
     _hold_to_gravity(dt, z, velocity, memory, given)
     _rise(dt, has_lift, memory, given)
@@ -325,8 +287,21 @@ def take_attitude(t, dt, z, velocity, memory, given):
 
 
 @inlined
-def _integrate(dt, z, has, memory, given):
-    """Turn the boat by the mean of the rates of this row and the one before."""
+def _lost_rates(memory, given):
+    """Return whether the gyros that show the rates of roll and of pitch are silent for long."""
+    M, dead_x, dead_y = given.mounting, memory.ages[0] > HELD, memory.ages[1] > HELD
+    return (
+        (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED),
+        (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED),
+    )
+
+
+@inlined
+def _integrate(dt, z, has, silent, turn, memory, given):
+    """Turn the boat by the mean of the rates of this row and the one before.
+
+    ``turn`` is the twin's rate of turn, for where the gyro is silent.
+    """
     has_p, has_q, has_lift = has
     before, rate, M = memory.rate, memory.rate, given.mounting
     lost_r = memory.planar_ages[0] > HELD
@@ -337,7 +312,7 @@ def _integrate(dt, z, has, memory, given):
     last = (
         memory.tilt[0, RATE_BIAS] + (0.0 if dead_x or dead_y else old[0]),
         memory.tilt[1, RATE_BIAS] + (0.0 if dead_x or dead_y else old[1]),
-        0.0 if lost_r else old[2],
+        turn if lost_r and abs(turn) < LIMITS[0] else 0.0 if lost_r else old[2],
     )
     raw = (
         z[GYRO_X] if has_p else _seen(M, last[0], last[1], last[2], 0),
@@ -347,12 +322,13 @@ def _integrate(dt, z, has, memory, given):
     p = _turned(M, raw[0], raw[1], raw[2], 0) - memory.tilt[0, RATE_BIAS]
     q = _turned(M, raw[0], raw[1], raw[2], 1) - memory.tilt[1, RATE_BIAS]
     r = _turned(M, raw[0], raw[1], raw[2], 2)
-    lost_p = (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED)
-    lost_q = (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED)
+    lost_p, lost_q = _lost_rates(memory, given)
     p, q = 0.0 if lost_p else p, 0.0 if lost_q else q
     rate[0], rate[1], rate[2] = p, q, r
     if memory.rows == 0.0:
         old = p, q, r
+    # a gyro that comes back says nothing of the row before
+    old = p if silent[0] else old[0], q if silent[1] else old[1], old[2]
     if dt > 0.0:
         for i in range(3):
             memory.turning[i] = (rate[i] - old[i]) / dt
@@ -363,18 +339,57 @@ def _integrate(dt, z, has, memory, given):
     roll_rate, pitch_rate = _angle_rates(phi + half * roll_rate, theta + half * pitch_rate, p, q, r)
     memory.tilt[0, ANGLE] = min(max(phi + dt * roll_rate, -1.5), 1.5)
     memory.tilt[1, ANGLE] = min(max(theta + dt * pitch_rate, -1.5), 1.5)
+    memory.turned[0] += dt * roll_rate
+    memory.turned[1] += dt * pitch_rate
     tilt, P = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P
-    _turn(P, dt, r * dt)
+    turn_covariance(P, dt, r * dt)
     for k in range(2):
-        at = k * N_TILT
-        sd = RATE_SD if (lost_p if k == 0 else lost_q) else given.gyro
-        P[at, at] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
+        at, other = k * N_TILT, (1 - k) * N_TILT
+        P[at, at] += (given.gyro * dt) ** 2
+        age, lost = _age_of(k, memory, given), lost_p if k == 0 else lost_q
+        if age > 0.0 or lost:
+            P[at, at] += _unseen(dt, age, lost, memory.rate_power[k])
+        else:
+            _learn_power(dt, k, memory)
         if lost_r:  # roll becomes pitch, and pitch roll, as the boat turns
-            P[at, at] += (TURN_SD * memory.tilt[1 - k, ANGLE]) ** 2 * dt
-        _fade(tilt, P, at + RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
-        _fade(tilt, P, at + AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
-        _fade(tilt, P, at + GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
+            P[at, at] += TURN_SD**2 * (tilt[other] ** 2 + P[other, other]) * dt
+        fade(tilt, P, at + RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
+        fade(tilt, P, at + AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
+        fade(tilt, P, at + GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
     _move_force(z, has_lift, memory, given)
+
+
+@inlined
+def _age_of(k, memory, given):
+    """Return how long a gyro has been silent that counts for the rate of roll or pitch, s."""
+    age, M = 0.0, given.mounting
+    for i in range(3):
+        silent = memory.planar_ages[0] if i == 2 else memory.ages[i]
+        age = max(age, silent) if abs(M[k, i]) > MIXED else age
+    return age
+
+
+@inlined
+def _unseen(dt, age, lost, power):
+    """Return what the variance of an angle grows by in a step without a sample of its gyro.
+
+    A rate that is held is off by its derivative times its age; for one that is lost, the boat
+    swings on. Both are as large as they were of late.
+    """
+    if lost:
+        return 2.0 * power[0] * dt * math.sqrt(power[0] / power[1])
+    return 0.25 * power[1] * (age**4 - max(age - dt, 0.0) ** 4)
+
+
+@inlined
+def _learn_power(dt, k, memory):
+    """Learn how fast roll or pitch changes, and how fast that does."""
+    share = max(min(dt / RATE_MEMORY, 1.0), 1.0 / (memory.rows + RATE_ROWS))
+    power = memory.rate_power[k]
+    power[0] += share * (memory.rate[k] ** 2 - power[0])
+    power[1] += share * (memory.turning[k] ** 2 - power[1])
+    # a boat at rest may begin to move
+    power[0], power[1] = max(power[0], 1e-6), max(power[1], 1e-6)
 
 
 @inlined
@@ -423,7 +438,8 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
     """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
     before, u, v = memory.velocity, velocity[0], velocity[1]
     ages = memory.planar_ages
-    if ages[1] == 0.0 and ages[2] == 0.0 and ages[0] <= HELD and dt > 0.0:
+    turns = ages[0] <= HELD or abs(velocity[2]) < LIMITS[0]
+    if ages[1] == 0.0 and ages[2] == 0.0 and turns and dt > 0.0:
         f, r, theta = memory.force, memory.rate[2], memory.tilt[1]
         known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
         ahead = (u - before[0]) / dt - v * r if known else 0.0
@@ -438,7 +454,7 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
             error = shown - tilt[seen[0]] - tilt[seen[1]]
             # what lasts for seconds counts as often as it is new
             density = _learn_density(error, dt, memory.innovation[k]) if known else UNKNOWN_DENSITY
-            _correct(tilt, memory.P, seen, error, density / dt, GATE)
+            correct(tilt, memory.P, seen, error, density / dt, GATE)
     before[0], before[1] = u, v
 
 
@@ -472,12 +488,12 @@ def _rise(dt, has_lift, memory, given):
     power[1] += share * (lift * lift - power[1])
     x[HEAVE] += dt * x[CLIMB] + 0.5 * dt * dt * lift
     x[CLIMB] += dt * lift
-    _propagate(P, (dt, -0.5 * dt * dt, -dt))
+    propagate(P, (dt, -0.5 * dt * dt, -dt))
     density = LIFT_SD**2 * 0.5 if lost else given.accel**2 * dt
     P[CLIMB, CLIMB] += density * dt
-    _fade(x, P, LIFT_BIAS, ACCEL_TIME, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
-    _fade(x, P, HEIGHT_ERROR, HEIGHT_TIME, dt, given.height_bias)
-    _fade(x, P, HEAVE, MEMORY, dt, SLOW_HEAVE)
+    fade(x, P, LIFT_BIAS, ACCEL_TIME, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
+    fade(x, P, HEIGHT_ERROR, HEIGHT_TIME, dt, given.height_bias)
+    fade(x, P, HEAVE, MEMORY, dt, SLOW_HEAVE)
 
 
 @inlined
@@ -494,20 +510,20 @@ def _hold_to_fix(t, dt, z, memory, given):
         arm = p * b - q * a
         error = z[GPS_VZ] - speed - arm
         gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE
-        used = _correct(x, P, (CLIMB, CLIMB), error, given.climb**2, gate)
+        used = correct(x, P, (CLIMB, CLIMB), error, given.climb**2, gate)
         _count_refused(used, memory, 6)
     if has_z:
         arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
         error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
         gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
-        used = _correct(x, P, (HEAVE, HEIGHT_ERROR), error, given.height**2, gate)
+        used = correct(x, P, (HEAVE, HEIGHT_ERROR), error, given.height**2, gate)
         _count_refused(used, memory, 5)
     if memory.ages[6] > NO_FIX and dt > 0.0:
         power = memory.wave_power
         corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
         corner = min(max(corner, CORNER_RANGE[0]), CORNER_RANGE[1])
         var = given.accel**2 / corner**4
-        _correct(x, P, (HEAVE, HEAVE), -x[HEAVE], var, math.inf)
+        correct(x, P, (HEAVE, HEAVE), -x[HEAVE], var, math.inf)
 
 
 @inlined
@@ -534,13 +550,17 @@ def turn_upright(heading, memory, given, z):
     d, e = sincos(theta)
     p, q, r = memory.rate[0], memory.rate[1], memory.rate[2]
     # samples that repeat themselves stay as they are: whoever checks them must see it
-    if memory.planar_new > 0.0:
-        turn = (q * s + r * c) / e
+    turn, ages = (q * s + r * c) / e, memory.planar_ages
+    if ages[0] == 0.0:
+        z[GYRO] = turn
+    if max(ages[1], ages[2]) > HELD and min(ages[1], ages[2]) <= HELD:
+        # but nobody else sees a single axis that is dead
+        z[ACCEL_X] = z[ACCEL_Y] = math.nan
+    elif memory.planar_new > 0.0:
         f, arm = memory.force, given.imu_arm
         low = s * f[1] + c * f[2]
         ahead, side = e * f[0] + d * low, c * f[1] - s * f[2]
         # what turning adds at the IMU of an upright boat
-        z[GYRO] = turn
         z[ACCEL_X] = ahead - memory.turning[2] * arm[1] - turn * turn * arm[0]
         z[ACCEL_Y] = side + memory.turning[2] * arm[0] - turn * turn * arm[1]
     a, b, down = given.gps_arm[0], given.gps_arm[1], given.gps_arm[2]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from twin.channels import PSI, R, U, V
+from twin.channels import PSI, R, U
 from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
 from twin.motion.attitude import is_measured, take_attitude, turn_upright
 from twin.motion.forecast import forecast_motion, quiet_probabilities
@@ -33,6 +33,9 @@ from twin.motion.state import (
     ATTITUDE_SETTINGS,
     CLIMB,
     HEAVE,
+    NEVER,
+    RATE_POWER,
+    RING,
     attitude_settings,
     initial_attitude,
 )
@@ -67,7 +70,7 @@ MOTION_SETTINGS = np.dtype([("attitude", ATTITUDE_SETTINGS), ("forecast", FORECA
 MOTION_WORK = np.dtype(
     [
         ("forecast", FORECAST_WORK),
-        ("velocity", "f8", 2),
+        ("velocity", "f8", 3),
         ("ahead", "f8", (1 + len(HORIZONS), 2)),
         ("mean", "f8", (1 + len(HORIZONS), N_CHANNELS)),
         ("var", "f8", (1 + len(HORIZONS), N_CHANNELS)),
@@ -79,6 +82,9 @@ MOTION_WORK = np.dtype(
 BRIDGED = 1.0
 """A channel that is silent for longer is reported, s."""
 
+NOTED = 3.0
+"""A channel that is silent for longer is noted, s: slow instruments are not."""
+
 _SILENT = "{} has been silent or unchanged for {:.1f} s; the others bridge it"
 
 _REFUSED = 10.0
@@ -87,6 +93,19 @@ READY = 5
 """Compared forecasts after which intervals and probabilities can be taken at their word."""
 
 _ROWS = field_at(MOTION, "attitude") + field_at(ATTITUDE, "rows")
+
+_AXES = (*MOTION_CHANNELS, *SENSOR_CHANNELS[ACCEL_X : ACCEL_Y + 1])
+
+
+def _places(channels: str, planar: str) -> list[int]:
+    """Return the places in memory of a field of each of the axes."""
+    begin = field_at(MOTION, "attitude")
+    first = begin + field_at(ATTITUDE, channels)
+    accel = begin + field_at(ATTITUDE, planar) + 1
+    return [*range(first, first + len(MOTION_CHANNELS)), accel, accel + 1]
+
+
+_AGES, _LAST = _places("ages", "planar_ages"), _places("last", "planar")
 
 
 def initial_motion() -> Array:
@@ -118,7 +137,8 @@ def take_row(t, dt, z, state, ready, memory, given, work):
         ``MOTION``, ``MOTION_SETTINGS`` and ``MOTION_WORK``.
     """
     velocity = work.velocity
-    velocity[0], velocity[1] = (state[U], state[V]) if ready else (math.nan, math.nan)
+    for k in range(3):
+        velocity[k] = state[U + k] if ready else math.nan
     heading = state[PSI] if ready else math.nan
     take_attitude(t, dt, z, velocity, memory.attitude, given.attitude)
     take_motion(t, velocity, memory.attitude, memory.forecast, given.forecast, work.forecast)
@@ -439,21 +459,31 @@ class DeckMotion:
         So it is with the horizontal accelerometers. Channels that never had a sample are not
         named: a boat need not have them.
         """
-        now = self.record["attitude"]
-        found: dict[str, tuple[str, float, str]] = {}
-        for k, name in enumerate(MOTION_CHANNELS):
-            age, refused = float(now["ages"][k]), float(now["refused"][k])
-            if not math.isfinite(now["last"][k]):
-                continue
-            if age > BRIDGED:
-                found[name] = "excluded", age, _SILENT.format(name, age)
-            elif refused > _REFUSED:
-                found[name] = "doubtful", 0.0, f"{name} contradicts the other sensors"
-        for k, name in enumerate(SENSOR_CHANNELS[ACCEL_X : ACCEL_Y + 1], start=1):
-            age = float(now["planar_ages"][k])
-            if math.isfinite(now["planar"][k]) and age > BRIDGED:
-                found[name] = "excluded", age, _SILENT.format(name, age)
+        found = {name: ("excluded", *pair) for name, pair in self._silent(BRIDGED).items()}
+        for name, refused in zip(MOTION_CHANNELS, self.record["attitude"]["refused"], strict=True):
+            if refused > _REFUSED:
+                why = f"{name} contradicts the other sensors"
+                found.setdefault(name, ("doubtful", 0.0, why))
         return found
+
+    def silent(self) -> dict[str, tuple[float, str]]:
+        """Return age (s) and reason of each channel that has said nothing new for :data:`NOTED`.
+
+        Channels that were never there are not named.
+        """
+        return self._silent(NOTED) if self.active else {}
+
+    def _silent(self, beyond: float) -> dict[str, tuple[float, str]]:
+        """Return age and reason of each channel without a new sample for so long, s."""
+        ages, last = self.memory[_AGES], self.memory[_LAST]
+        late = (ages > beyond) & (ages < NEVER)
+        if not late.any():  # this runs in every row
+            return {}
+        late &= np.isfinite(last)
+        return {
+            _AXES[k]: (float(ages[k]), _SILENT.format(_AXES[k], ages[k]))
+            for k in np.flatnonzero(late)
+        }
 
     def views(self) -> dict[str, Array]:
         """Return what is remembered, by field."""
@@ -480,7 +510,14 @@ class DeckMotion:
             self.reset()
             return
         # files of before the age of each axis was kept
-        state = {"attitude.planar_ages": np.zeros(3), **state}
+        # or what the boat turned, for an AHRS that is late
+        state = {
+            "attitude.planar_ages": np.zeros(3),
+            "attitude.turned": np.zeros(2),
+            "attitude.turned_ring": np.zeros((RING, 2)),
+            "attitude.rate_power": np.tile(RATE_POWER, (2, 1)),
+            **state,
+        }
         check_fields(state, self.views(), FIELDS)
         fill(self.views(), state)
         memory = self.record["forecast"]
@@ -503,6 +540,7 @@ FIELDS = {
     ),
     **dict.fromkeys(("attitude.rows", "forecast.rows", "forecast.n_errors"), COUNT),
     **dict.fromkeys(("attitude.ages", "attitude.planar_ages", "forecast.verifications"), _POSITIVE),
+    "attitude.rate_power": Field(low=1e-9),
     "forecast.is_fit": FLAG,
     "attitude.tilt": Field(low=-10.0, high=10.0),
     "attitude.P": Field(covariance=True),

@@ -316,8 +316,9 @@ def take_motion(t, velocity, attitude, memory, given, work):
     ----------
     t : float
         Time of the row, s.
-    velocity : ndarray, shape (2,)
-        Speed forward and to starboard by the twin, m/s; NaN where it has none.
+    velocity : ndarray, shape (3,)
+        Speed forward and to starboard (m/s) and rate of turn (rad/s) by the twin; NaN where it has
+        none.
     attitude : record of ``twin.motion.state.ATTITUDE``
         After the row.
     memory : record of :data:`FORECAST`

@@ -86,8 +86,8 @@ def take_sea(dt, heading, velocity, attitude, memory):
     ----------
     dt, heading : float
         Time since the row before (s), and heading (rad).
-    velocity : ndarray, shape (2,)
-        Speed forward and to starboard by the twin, m/s; NaN where it has none.
+    velocity : ndarray, shape (3,)
+        Speed forward and to starboard (m/s) and rate of turn by the twin; NaN where it has none.
     attitude : record of ``twin.motion.state.ATTITUDE``
         After the row.
     memory : record of :data:`SEA_MOMENTS`

@@ -25,6 +25,7 @@ __all__ = [
     "N_TILT",
     "N_VERTICAL",
     "RATE_BIAS",
+    "RATE_POWER",
     "RING",
     "SLOW_HEAVE",
     "attitude_settings",
@@ -75,6 +76,10 @@ CORNER, CORNER_RANGE = 0.2, (0.15, 0.6)
 """Without GNSS, heave that is slower than this part of the frequency of the waves is left out, and
 its range, rad/s."""
 
+RATE_POWER = (0.3**2, (0.3 * 2.5) ** 2)
+"""Mean squares of the rate of roll or pitch ((rad/s)2) and of its derivative ((rad/s2)2), of a boat
+whose gyro has said nothing yet."""
+
 WAVE_WINDOW, WAVE_LEAK = 60.0, 4.0
 """Times over which that frequency is found, and in which a speed is forgotten for it, s."""
 
@@ -104,7 +109,11 @@ ATTITUDE = np.dtype(
         ("planar_new", "f8"),  # 1 where those of this row are new
         ("planar_ages", "f8", 3),  # time since the last new one of each, s
         ("rows", "f8"),  # rows taken
+        ("turned", "f8", 2),  # integrals of the rates of roll and pitch, rad
+        ("rate_power", "f8", (2, 2)),  # mean squares of the rates of roll and pitch, (rad/s)2 ...
+        # ... and of their derivatives, (rad/s2)2
         ("ring", "f8", (RING, 4)),  # time, roll, pitch, vertical speed of past rows
+        ("turned_ring", "f8", (RING, 2)),  # those integrals in the same rows
     ]
 )
 """One boat. All are float64, so that it fits into flat memory."""
@@ -122,6 +131,7 @@ ATTITUDE_SETTINGS = np.dtype(
         ("height_bias", "f8"),  # m
         ("climb", "f8"),  # white, m/s
         ("latency", "f8"),  # s, age of a fix
+        ("ahrs_latency", "f8"),  # s, age of roll and pitch of an AHRS
         ("imu_arm", "f8", 3),  # m forward, to starboard, down
         ("gps_arm", "f8", 3),
         ("mounting", "f8", (3, 3)),  # turns a vector of the IMU into the boat's axes
@@ -158,6 +168,7 @@ def attitude_settings(particulars: Particulars) -> Array:
     record["ahrs"], record["ahrs_time"] = board.ahrs_sd, board.ahrs_time
     record["height"], record["height_bias"] = board.height_sd, board.height_bias_sd
     record["climb"], record["latency"] = board.climb_sd, board.gps_latency
+    record["ahrs_latency"] = board.ahrs_latency
     record["imu_arm"], record["gps_arm"] = board.imu_arm, board.gps_arm
     record["mounting"] = rotation(board.imu_mounting)
     return memory

@@ -100,6 +100,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             accel_sd=math.hypot(suite.accel_white, UPRIGHT),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
+            compass_latency=suite.compass_latency,
+            ahrs_latency=suite.ahrs_latency,
             gps_arm=suite.gps_arm,
             imu_arm=suite.imu_arm,
             imu_mounting=suite.imu_mounting,

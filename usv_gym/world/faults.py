@@ -1,4 +1,4 @@
-"""Faults of sensors: lost, frozen or spiked samples, once, at random or in bursts."""
+"""Faults of sensors: lost, frozen, spiked or scaled samples, once, at random or in bursts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usv_gym.world.channels import AHRS_BIT, BITS, COMPASS_BIT, GPS_BIT, IMU_BIT, WIND_BIT
+from usv_gym.world.channels import (
+    AHRS_BIT,
+    AXIS_BITS,
+    BITS,
+    COMPASS_BIT,
+    GPS_BIT,
+    IMU_BIT,
+    WIND_BIT,
+)
 from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
@@ -49,16 +57,32 @@ FAULT_KINDS = {
     "ahrs": AHRS_BIT,
     "all": GPS_BIT | COMPASS_BIT | IMU_BIT | AHRS_BIT | WIND_BIT,
     "wind": WIND_BIT,
+    **AXIS_BITS,
 }
-"""Which sensors each kind of fault strikes; wind is the anemometer."""
+"""Which sensors each kind of fault strikes; wind is the anemometer, ``gyro_x`` and the like are
+single axes of the IMU."""
 
 CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS) + len(WIND_CHANNELS)
 """Channels that faults strike, in the order of SENSOR_CHANNELS, MOTION_CHANNELS, WIND_CHANNELS."""
 
-LOSS, FROZEN, SPIKES = 0, 1, 2
+LOSS, FROZEN, SPIKES, SCALED = 0, 1, 2, 3
 
-EFFECTS = {"loss": LOSS, "frozen": FROZEN, "spikes": SPIKES}
-"""What a fault does: no sample; the last sample again, as if new; samples far off."""
+EFFECTS = {
+    "loss": LOSS,
+    "frozen": FROZEN,
+    "spikes": SPIKES,
+    "zero": SCALED,
+    "reversed": SCALED,
+    "scaled": SCALED,
+}
+"""What a fault does: no sample; the last sample again, as if new; samples far off; zeros, as of a
+dead axis; the wrong sign; samples times a factor."""
+
+_FACTORS = {"zero": 0.0, "reversed": -1.0}
+"""Factors of effects that have one of their own."""
+
+FACTOR_MAX = 1e6
+"""Largest factor of a fault."""
 
 FAULT = np.dtype(
     [
@@ -73,6 +97,7 @@ FAULT = np.dtype(
         ("leave", float),  # probability that it ends; 0: no bursts
         ("bursting", float),  # 1 within a burst
         ("sizes", float, CHANNELS),  # spike of each channel, in its unit
+        ("factor", float),  # of the samples, where they are scaled
     ]
 )
 """A fault as kernels read and advance it."""
@@ -110,12 +135,15 @@ class Disturbance(ABC):
     sizes : tuple of float
         How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign; those
         of :data:`MOTION_CHANNELS`, and then of :data:`WIND_CHANNELS`, may follow.
+    factor : float
+        What a fault of ``scaled`` multiplies samples by.
     """
 
     kind: str
     effect: str = dataclasses.field(default="loss", kw_only=True)
     chance: float = dataclasses.field(default=0.1, kw_only=True)
     sizes: tuple[float, ...] = dataclasses.field(default=SPIKE_SIZES, kw_only=True)
+    factor: float = dataclasses.field(default=2.0, kw_only=True)
 
     code: ClassVar[int]
 
@@ -141,6 +169,12 @@ class Disturbance(ABC):
                 f"MOTION_CHANNELS, and of WIND_CHANNELS, got {self.sizes}"
             )
 
+        if not (is_finite(self.factor) and abs(self.factor) <= FACTOR_MAX):
+            raise FaultError(
+                f"{self.kind} fault: the factor must be a number from {-FACTOR_MAX:g} to "
+                f"{FACTOR_MAX:g}, got {self.factor!r}"
+            )
+
     @abstractmethod
     def _timing(self, dt: float) -> dict[str, Any]:
         """Return the fields of the record that say when it strikes."""
@@ -151,6 +185,7 @@ class Disturbance(ABC):
         record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
         sizes = (*self.sizes, *SPIKE_SIZES[len(self.sizes) :])
         record["chance"], record["sizes"] = self.chance, sizes
+        record["factor"] = _FACTORS.get(self.effect, self.factor)
         for name, value in self._timing(dt).items():
             record[name] = value
         return record
@@ -162,7 +197,7 @@ class Fault(Disturbance):
 
     Parameters
     ----------
-    kind, effect, chance, sizes
+    kind, effect, chance, sizes, factor
         What is struck and how: see :class:`Disturbance`.
     start, duration : float
         When it begins and how long it lasts, s.
@@ -191,7 +226,7 @@ class RandomFaults(Disturbance):
 
     Parameters
     ----------
-    kind, effect, chance, sizes
+    kind, effect, chance, sizes, factor
         What is struck and how: see :class:`Disturbance`.
     gap, duration : tuple of float
         Shortest and longest time between two, and of each, s; uniform.
@@ -230,7 +265,7 @@ class Bursts(Disturbance):
 
     Parameters
     ----------
-    kind, effect, chance, sizes
+    kind, effect, chance, sizes, factor
         What is struck and how: see :class:`Disturbance`.
     loss : float
         Mean share of steps that are struck, above 0 and below 1.
@@ -291,20 +326,20 @@ ON: tuple[Disturbance, ...] = (
     RandomFaults("wind", effect="frozen"),
     RandomFaults("all", gap=(60.0, 180.0), duration=(1.0, 5.0)),
 )
-"""What the text ``on`` stands for: everything that can go wrong does, again and again."""
+"""What the text ``on`` stands for: whatever comes and goes with sensors does, again and again."""
 
 _NUMBER = r"(\d+(?:\.\d+)?)"
 
 _FAULT = re.compile(
-    rf"([a-z]+)(?:-({'|'.join(EFFECTS)}))?"
+    rf"([a-z_]+)(?:-({'|'.join(EFFECTS)}))?"
     rf"(?:{_NUMBER}|(-random)|-bursts(?:{_NUMBER}x{_NUMBER})?)(?:@{_NUMBER})?",
     re.ASCII,
 )
 
 FAULTS_HELP = (
     "none; on for all of them; or a kind and seconds, such as gps10. gps10@30 begins at second 30, "
-    "gps-frozen5 and imu-spikes20 have an effect, gps-random comes again and again. gps-bursts and "
-    "gps-bursts10x2 come in bursts: of the latter 10 % of the time, 2 s each. + joins several "
+    "gps-frozen5 and gyro_x-zero20 have an effect, gps-random comes again and again. gps-bursts "
+    "and gps-bursts10x2 come in bursts: of the latter 10 % of the time, 2 s each. + joins several "
     f"(kinds: {', '.join(FAULT_KINDS)}; effects: {', '.join(EFFECTS)})"
 )
 """What a text of faults may be, for messages."""
@@ -373,6 +408,9 @@ def ineffective_fault(faults: Sequence[Disturbance], dof: int, anemometer: bool)
     struck = {fault.kind for fault in faults if fault not in ON}
     if "ahrs" in struck and dof == 3:
         return "a boat with dof=3 has no AHRS: its fault changes nothing; use dof=6"
+    for axis in sorted(struck & {"gyro_x", "gyro_y", "accel_z"}):
+        if dof == 3:
+            return f"a boat with dof=3 has no {axis}: its fault changes nothing; use dof=6"
     if "wind" in struck and not anemometer:
         return "these sensors have no anemometer: its fault changes nothing; use those of 'best'"
     return None
@@ -397,7 +435,7 @@ def fault_sources(
     for fault in faults:
         # a number that stays the same whatever other kinds there are
         bits = FAULT_KINDS[fault.kind]
-        kind = bits if bits in (AHRS_BIT, WIND_BIT) else bits % AHRS_BIT
+        kind = bits % AHRS_BIT if fault.kind == "all" else bits
         key = (fault.code, kind, EFFECTS[fault.effect])
         seen[key] = seen.get(key, -1) + 1
         sources.append(np.random.default_rng([seed, *key, seen[key]]))
@@ -468,6 +506,10 @@ def strike(
             lost |= bits
         elif fault.effect == FROZEN:
             frozen |= bits
+        elif fault.effect == SCALED:
+            for j in range(z.shape[0]):
+                if bits & BITS[j]:
+                    z[j] *= fault.factor
         elif hit < fault.chance:
             # the binary digits of one number are as many signs
             for j in range(z.shape[0]):

@@ -283,7 +283,7 @@ class Simulation:
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
             "numbers": (self._block, motion_at + motion_numbers + wind_numbers + wx.NOISE_SIZE),
             "faults": (max_faults, record_size(FAULT)),
-            "delay_line": (self.suite.delay_steps(dt) + 1, sensors.DELAYED),
+            "delay_line": (self.suite.delay_rows(dt), sensors.DELAYED),
             "wind_line": (suite.wind_rows(dt), anemometer.WIND_ROWS),
         }
         ends = np.cumsum([record_size(BOAT), *map(math.prod, shapes.values())])

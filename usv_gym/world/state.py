@@ -86,7 +86,7 @@ def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray,
 def sensor_arrays(
     row: np.ndarray, config: Record
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return random numbers (B, W), faults (F,), delay lines of GPS (D, 6) and wind (K, 2)."""
+    """Return random numbers (B, W), faults (F,), delay lines (D, 15), of wind (K, 2)."""
     numbers = shaped(row, config.numbers_at, (config.numbers_rows, config.numbers_width))
     faults = as_records(row, config.faults_at, config.fault_count, FAULT)
     delay_line = shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))

@@ -50,7 +50,7 @@ def rows(
         channels = CHANNELS
     wind = np.random.default_rng([seed, 1]).standard_normal((count, anemometer.WIND_NOISE_SIZE))
     line = np.zeros((suite.wind_rows(dt), anemometer.WIND_ROWS))
-    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, sensors.DELAYED))
+    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_rows(dt), sensors.DELAYED))
     boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, channels))
     if state is not None:
         boat["state"] = state

@@ -28,7 +28,7 @@ from usv_gym.world.faults import (
     parse_faults,
 )
 from usv_gym.world.simulation import BLOCK_STEPS, Simulation
-from usv_kernel.channels import GYRO
+from usv_kernel.channels import GYRO, MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 
 
 def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -37,11 +37,14 @@ def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, n
     return rows(suite, count, seed, dof=6), rows(suite, count, seed, faults=[fault], dof=6)
 
 
+SCALES = {"zero": 0.0, "reversed": -1.0, "scaled": 1.7}
+
+
 @pytest.mark.parametrize("kind", FAULT_KINDS)
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_fault_strikes_its_sensors_in_its_time_and_nothing_else(kind: str, effect: str) -> None:
     """Afterwards each sample is what it had been: noise and biases went on."""
-    clean, z = struck(Fault(kind, 2.0, 3.0, effect=effect, chance=1.0), 200)
+    clean, z = struck(Fault(kind, 2.0, 3.0, effect=effect, chance=1.0, factor=1.7), 200)
     k = np.arange(200)
     inside = ((k >= 40) & (k < 100))[:, None] & ((FAULT_KINDS[kind] & BIT) != 0)
     np.testing.assert_array_equal(z[~inside], clean[~inside])
@@ -49,6 +52,8 @@ def test_a_fault_strikes_its_sensors_in_its_time_and_nothing_else(kind: str, eff
         assert np.all(np.isnan(z[inside]))
     elif effect == "frozen":
         np.testing.assert_array_equal(z[inside], np.broadcast_to(clean[39], z.shape)[inside])
+    elif effect in SCALES:
+        np.testing.assert_array_equal(z[inside], SCALES[effect] * clean[inside])
     else:
         off = np.abs(z - clean)
         np.testing.assert_allclose(off[inside], np.broadcast_to(SPIKE_SIZES, z.shape)[inside])
@@ -103,7 +108,7 @@ def test_random_faults_keep_their_gaps_and_lengths() -> None:
     fault = RandomFaults("imu", gap=(2.0, 6.0), duration=(1.0, 3.0), start=10.0)
     out = apply_faults(t, z, [fault], np.random.default_rng(6))
     gone = np.isnan(out[:, GYRO])
-    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (LEVEL_BIT == IMU_BIT))
+    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & ((LEVEL_BIT & IMU_BIT) != 0))
     assert not gone[: round(12.0 / DT)].any()
     for value, (low, high) in ((spans(gone), fault.duration), (spans(~gone), fault.gap)):
         seconds = DT * value
@@ -269,12 +274,47 @@ def test_parse_faults_reads_every_form() -> None:
         RandomFaults("compass", effect="spikes", start=9.0),
     )
     assert parse_faults("imu-frozen-bursts", 3.0) == (Bursts("imu", effect="frozen"),)
+    assert parse_faults("gyro_x-zero5+accel_z-reversed-random+gyro_z9", 1.0) == (
+        Fault("gyro_x", 1.0, 5.0, effect="zero"),
+        RandomFaults("accel_z", effect="reversed"),
+        Fault("gyro_z", 1.0, 9.0),
+    )
 
 
-def test_on_is_every_effect_on_every_sensor() -> None:
+def test_a_fault_of_one_axis_strikes_the_same_in_many_boats() -> None:
+    """Two boats at once see what each sees alone, and no other channel changes."""
+    faults = parse_faults("gyro_y-scaled3+accel_x-frozen4@2+accel_z-reversed-bursts", 1.0)
+    many = Simulation(2, BOAT, SeaState.named("2"), faults=faults, dof=6)
+    clean = Simulation(2, BOAT, SeaState.named("2"), dof=6)
+    singles = [Simulation(1, BOAT, SeaState.named("2"), faults=faults, dof=6) for _ in range(2)]
+    for sim in (many, clean):
+        sim.reset([0, 1], [np.random.default_rng(3), np.random.default_rng(4)])
+    for seed, single in enumerate(singles, start=3):
+        single.reset([0], [np.random.default_rng(seed)])
+    channels = (*SENSOR_CHANNELS, *MOTION_CHANNELS, *WIND_CHANNELS)
+    own = [channels.index(f"{n}_{u}") for n, u in (("gyro_y", "radps"), ("accel_x", "mps2"))]
+    own.append(channels.index("accel_z_mps2"))
+    differs = np.zeros(many.z.shape[1], dtype=bool)
+    for _ in range(600):
+        for sim in (many, clean, *singles):
+            sim.step(np.full((sim.n, 4), [N, N, 0.2, 0.2]))
+        for i, single in enumerate(singles):
+            np.testing.assert_array_equal(many.z[i], single.z[0])
+        both = np.isfinite(clean.z)
+        differs |= (both & (many.z != clean.z)).any(axis=0)
+    assert set(np.flatnonzero(differs)) == set(own)
+
+
+def test_factors_that_cannot_be_used_are_refused() -> None:
+    for factor in (math.nan, math.inf, 1e9):
+        with pytest.raises(FaultError, match=r"accel_x fault: the factor must be a number from"):
+            Fault("accel_x", 0.0, 1.0, effect="scaled", factor=factor)
+
+
+def test_on_is_all_that_comes_and_goes_on_every_sensor() -> None:
     bits = (GPS_BIT, COMPASS_BIT, IMU_BIT)
     struck = {(b, fault.effect) for fault in ON for b in bits if FAULT_KINDS[fault.kind] & b}
-    assert struck == {(b, effect) for b in bits for effect in EFFECTS}
+    assert struck == {(b, effect) for b in bits for effect in ("loss", "frozen", "spikes")}
     assert {type(fault) for fault in ON} == {Bursts, RandomFaults}
 
 

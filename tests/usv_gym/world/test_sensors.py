@@ -169,6 +169,54 @@ def test_gps_is_late() -> None:
         assert sim.z[0, COMPASS] == sim.state[0, fr.PSI]  # the others are not late
 
 
+@pytest.mark.parametrize("dof", [3, 6])
+def test_each_sensor_has_a_latency_of_its_own(dof: int) -> None:
+    """Late samples are those of a suite without latency, some steps later, to the bit."""
+    late = {"gps": 4, "compass": 2, "imu": 1, "ahrs": 5}
+    suite = only(**{f"{name}_latency": DT * steps for name, steps in late.items()})
+    prompt = Simulation(1, BOAT, SeaState.named("3"), suite=only(gps_latency=0.0), dof=dof)
+    delayed = Simulation(1, BOAT, SeaState.named("3"), suite=suite, dof=dof)
+    rows = []
+    for sim in (prompt, delayed):
+        sim.reset([0], [np.random.default_rng(0)])
+        z = [sim.z[0].copy()]
+        for k in range(80):
+            sim.step(np.array([[N, N, 0.3 * math.sin(0.1 * k), 0.1]]))
+            z.append(sim.z[0].copy())
+        rows.append(np.array(z))
+    columns = {
+        "gps": [*range(4), 13, 14],
+        "compass": [4],
+        "imu": [5, 6, 7, 8, 9, 10],
+        "ahrs": [11, 12],
+    }
+    for name, steps in late.items():
+        for j in columns[name]:
+            np.testing.assert_array_equal(rows[1][steps:, j], rows[0][:-steps, j])
+            assert np.isnan(rows[1][:steps, j]).all()
+    assert np.isfinite(rows[1][10:, 11]).all() == (dof == 6)
+
+
+def test_a_latency_leaves_the_noise_of_the_other_sensors() -> None:
+    """The default is no latency but that of the GPS: the bits of before."""
+    plain, late = rows(SensorSuite(), 50, dof=6), rows(SensorSuite(ahrs_latency=0.2), 50, dof=6)
+    others = [j for j in range(15) if j not in (11, 12)]
+    np.testing.assert_array_equal(plain[:, others], late[:, others])
+    np.testing.assert_array_equal(plain[4:, 11:13], late[4:, 11:13])  # the boat stands still
+
+
+def test_the_vertical_speed_has_a_bias() -> None:
+    suite = only(climb_bias=0.3)
+    biases = [rows(suite, 1, seed, dof=6)[0, 14] for seed in range(400)]
+    assert np.std(biases) == pytest.approx(0.3, rel=0.15)  # 400 normals: 3.5 %; four times that
+    assert (rows(only(), 5, dof=6)[:, 14] == 0.0).all()
+
+
+def test_a_latency_beyond_ten_seconds_is_refused() -> None:
+    with pytest.raises(FaultError, match=r"ahrs_latency = 11 s: must be 10 s or less"):
+        SensorSuite(ahrs_latency=11.0)
+
+
 @pytest.mark.parametrize("rate", [1.0, 3.0, 8.0, 20.0, 50.0])
 def test_rates_are_kept(rate: float) -> None:
     """So many samples a second, as even as steps allow, and never two in a step."""
