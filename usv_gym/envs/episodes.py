@@ -385,10 +385,9 @@ class Episodes:
             dt=config.dt,
             dt_physics=config.dt_physics,
         )
-        if config.dof == 6:
-            for sea in self.seas:
-                if (found := warning_of(self.vessel, sea)) is not None:
-                    warnings.warn(found, CapsizeWarning, stacklevel=2)
+        for sea in self.seas:
+            if (found := warning_of(self.vessel, sea, config.dof)) is not None:
+                warnings.warn(found, CapsizeWarning, stacklevel=2)
         limits = self.vessel.values
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
