@@ -33,11 +33,12 @@ DEGREES_MAX = 3600.0
 
 def _check_point(point: object) -> None:
     """Refuse a deck point that is not three lengths."""
-    if not isinstance(point, (tuple, list, np.ndarray)) or len(point) != 3:
+    listed = isinstance(point, (tuple, list)) or (isinstance(point, np.ndarray) and point.ndim == 1)
+    if not listed or len(point) != 3:  # type: ignore[arg-type]
         raise UsvTwinError(
             f"deck_point = {point!r}: must be three lengths in m (forward, to starboard, down)"
         )
-    for length in point:
+    for length in point:  # type: ignore[attr-defined]
         check_number("deck_point", length, -ARM_MAX, ARM_MAX)
 
 
