@@ -40,6 +40,9 @@ Array = NDArray[np.float64]
 _DAMAGE = (OSError, RuntimeError, TypeError, ValueError)
 """What constructors raise, among others, of options and particulars that make no sense."""
 
+_RATES = ("p_radps", "q_radps", "vertical_speed_mps")
+"""Columns of roll rate, pitch rate and vertical speed of the origin."""
+
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
 
@@ -355,9 +358,11 @@ class Twin:
         StateTable, shape (N,)
             A structured array of the estimates at each row: time, state and parameters with their
             standard deviations, and those of ``twin.motion.CHANNELS`` where the log shows roll,
-            pitch or heave. Latitude, longitude and date are there where the log has them. It
-            has ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table: ``for row in
-            log: twin.step(*row)``. Sensors that were in doubt are in :attr:`notes`.
+            pitch or heave. Roll rate, pitch rate and the vertical speed of the origin follow:
+            ``p_radps``, ``q_radps`` and ``vertical_speed_mps`` (down). Latitude, longitude and date
+            are there where the log has them. It has ``to_pandas()``, ``to_polars()`` and
+            ``write(path)``. Without a table: ``for row in log: twin.step(*row)``. Sensors that were
+            in doubt are in :attr:`notes`.
 
         Raises
         ------
@@ -367,6 +372,7 @@ class Twin:
         self.locate(log.datum)
         parameters = self.predictor.parameter_names
         deck = np.full((len(log), 2, len(CHANNELS)), math.nan)
+        rates = np.full((len(log), len(_RATES)), math.nan)
         shape = len(log), len(STATE) + len(parameters)
         mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
         for k, (t, z, cmd) in enumerate(log):
@@ -374,6 +380,7 @@ class Twin:
             ready[k] = self.predictor.write_moments(mean[k], sd[k])
             if (now := self.motion.estimate()) is not None:
                 deck[k] = now.mean, now.sd
+                rates[k] = now.roll_rate, now.pitch_rate, now.vertical_speed
             if on_row is not None:
                 on_row()
         np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
@@ -387,6 +394,7 @@ class Twin:
         if self.motion.active:
             for j, kind in enumerate(("", "sd_")):
                 columns |= {f"{kind}{name}": deck[:, j, c] for c, name in enumerate(CHANNELS)}
+            columns |= dict(zip(_RATES, rates.T, strict=True))
         return StateTable.of(columns, self.datum)
 
     def locate(self, datum: Datum | None) -> None:

@@ -21,6 +21,9 @@ from twin.predictors.registry import DEFAULT
 __all__ = [
     "MOTION_CHANNELS",
     "MOTION_HORIZONS",
+    "MOTION_METRICS",
+    "MOTION_UNITS",
+    "SHOWN_UNITS",
     "MotionScore",
     "MotionTruth",
     "auc",
@@ -35,6 +38,16 @@ Array = NDArray[np.float64]
 
 MOTION_CHANNELS = ("roll", "pitch", "heave", "deck_speed")
 """rad, rad, m and m/s; the last two are positive down."""
+
+MOTION_UNITS = {"roll": "rad", "pitch": "rad", "heave": "m", "deck_speed": "m/s"}
+
+MOTION_METRICS = ("rmse", "sd", "skill", "held", "crps", "coverage90")
+
+SHOWN_UNITS = {
+    channel: ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)
+    for channel, unit in MOTION_UNITS.items()
+}
+"""Unit in which people read the errors of a channel, and the factor to it."""
 
 MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Times ahead, s."""
@@ -155,8 +168,7 @@ def motion_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                         "plan": plan,
                         "channel": channel,
                         "horizon_s": horizon,
-                        **{m: values[m][j] for m in ("rmse", "sd", "skill", "held", "crps")},
-                        "coverage90": values["coverage90"][j],
+                        **{metric: values[metric][j] for metric in MOTION_METRICS},
                         "n": table["n"],
                     }
 
@@ -174,13 +186,10 @@ def shown_motion(results: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]
     }
 
 
-def median_scores(rows: Sequence[Mapping[str, Any]], horizon: float) -> tuple[float, float, float]:
-    """Return the medians over rows of one horizon (s) of ``skill``, ``held`` and ``coverage90``."""
+def median_scores(rows: Sequence[Mapping[str, Any]], horizon: float) -> dict[str, float]:
+    """Return the medians over rows of one horizon (s), by the names in :data:`MOTION_METRICS`."""
     here = [row for row in rows if row["horizon_s"] == horizon]
-    skill, held, inside = (
-        float(np.median([row[name] for row in here])) for name in ("skill", "held", "coverage90")
-    )
-    return skill, held, inside
+    return {name: float(np.median([row[name] for row in here])) for name in MOTION_METRICS}
 
 
 def _reliability(p: Array, happened: NDArray[np.bool_]) -> list[list[float]]:

@@ -27,6 +27,7 @@ from twin.predictors.registry import (
 )
 from twin.sim.oracle import check_options_of, check_simulator
 from twin.sim.recorded import log_name, read_run
+from usv_gym.design.seaway import warning_of
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import ineffective_fault, parse_faults
@@ -320,8 +321,15 @@ def _is_runnable(predictor: str, path: str, ship: str | None, mapping: str | Non
 
 
 def left_out(settings: Settings) -> tuple[str, ...]:
-    """Return a line on each predictor that lacks information on recorded runs, and on no effect."""
+    """Return a line on each predictor that lacks information on recorded runs, and on no effect.
+
+    And one on each sea in which the vessel capsizes.
+    """
     lines = []
+    if settings.scenarios:
+        for name in dict.fromkeys(case.sea for case in settings.conditions):
+            found = warning_of(Vessel.load(settings.vessel), settings.sea(name), settings.dof)
+            lines += [] if found is None else [found]
     for case in settings.conditions if settings.scenarios else ():
         struck, suite = parse_faults(case.fault, 0.0), SensorSuite.grade(case.grade)
         if (found := ineffective_fault(struck, settings.dof, suite.has_anemometer)) is not None:

@@ -36,7 +36,7 @@ from twin.benchmark.figures.data import (
 from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.figures.drawing import Picture, Pictures
 from twin.benchmark.figures.style import Styles
-from twin.benchmark.motion_scores import median_scores, shown_motion
+from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.svg import FONTS, sheet_of
 from twin.benchmark.verdict.summary import recorded_blocks, sentence_of
 from twin.benchmark.verdict.tables import (
@@ -379,28 +379,41 @@ def _motion_grids(results: Row) -> dict[str, Grid]:
         return {}
     name = text_of(rows["motion"][0], "predictor")
     return {
-        f"Roll, pitch, heave and vertical speed, {name}": _skill_grid(rows["motion"]),
+        f"Roll, pitch, heave and vertical speed, {name}": _motion_grid(rows["motion"], _skill_cell),
+        f"Their errors, {name}": _motion_grid(rows["motion"], _error_cell, "unit"),
         f"Quiet deck, {name}": _quiet_grid(rows["quiet"]),
     }
 
 
-def _skill_grid(rows: Sequence[Row]) -> Grid:
+def _motion_grid(rows: Sequence[Row], cell: Callable[[Row, str], Cell], *more: str) -> Grid:
     """Return medians over runs by scenario, plan, channel and horizon."""
     where = ("scenario", "plan", "channel")
     horizons = sorted({number_of(row, "horizon_s") for row in rows})
     lines = []
     for keys, block in _grouped(rows, lambda row: tuple(row[key] for key in where)).items():
-        line = [*map(Cell, keys)]
-        for horizon in horizons:
-            skill, held, inside = median_scores(block, horizon)
-            line.append(Cell(number(skill), (number(held), f"{100.0 * inside:.0f} %")))
-        lines.append(line)
-    return Grid([*where, *(f"{horizon:g} s" for horizon in horizons)], lines)
+        units = [Cell(SHOWN_UNITS[keys[-1]][0])] if more else []
+        cells = (cell(median_scores(block, horizon), keys[-1]) for horizon in horizons)
+        lines.append([*map(Cell, keys), *units, *cells])
+    return Grid([*where, *more, *(f"{horizon:g} s" for horizon in horizons)], lines)
+
+
+def _skill_cell(found: Row, _: str) -> Cell:
+    """Return the skill, that of the present value, and the coverage."""
+    inside = f"{100.0 * found['coverage90']:.0f} %"
+    return Cell(number(found["skill"]), (number(found["held"]), inside))
+
+
+def _error_cell(found: Row, channel: str) -> Cell:
+    """Return the RMSE, the standard deviation of the motion, and the CRPS."""
+    unit = SHOWN_UNITS[channel][1]
+    rmse, sd, score = (number(unit * found[name]) for name in ("rmse", "sd", "crps"))
+    return Cell(rmse, (sd, score))
 
 
 def _quiet_grid(rows: Sequence[Row]) -> Grid:
     """Return how well a quiet deck was foreseen, by scenario, case, plan and span."""
-    where, values = ("scenario", "case", "plan"), ("base_rate", "brier_skill", "auc", "auc_now")
+    where = ("scenario", "case", "plan")
+    values = ("base_rate", "brier_skill", "auc", "auc_now", "brier")
     lines = [
         [
             *(Cell(text_of(row, key)) for key in where),
@@ -409,7 +422,7 @@ def _quiet_grid(rows: Sequence[Row]) -> Grid:
         ]
         for row in rows
     ]
-    return Grid([*where, "span", "share", "Brier skill", "AUC", "AUC now"], lines)
+    return Grid([*where, "span", "share", "Brier skill", "AUC", "AUC now", "Brier"], lines)
 
 
 # pictures

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from twin.benchmark.motion_scores import median_scores, shown_motion
+from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.protocol import FULL_CASES
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.cli.common import console, explain, new_table, note, short
@@ -315,26 +314,40 @@ def _print_motion(motion: Sequence[Row], quiet: Sequence[Row]) -> None:
         for row in motion:
             if row["plan"] == plan:
                 cells.setdefault((row["scenario"], row["channel"]), []).append(row)
-        heads = ("scenario", "channel", "sd", *(f"{h:g} s" for h in horizons))
+        after = [f"{h:g} s" for h in horizons]
         title = (
             f"RMSE over sd; below it that of the present value, held; truth inside the 90 % "
             f"interval. Plan {plan}, {predictor}"
         )
-        table = new_table(title, *heads, left=("scenario", "channel"), padding=0)
+        heads: tuple[str, ...] = ("scenario", "channel", "sd", *after)
+        skills = new_table(title, *heads, left=heads[:2], padding=0)
+        title = f"RMSE; below it the sd of the motion, and the CRPS. Plan {plan}, {predictor}"
+        heads = ("scenario", "channel", "unit", *after)
+        errors = new_table(title, *heads, left=heads[:3], padding=0)
         for (scenario, channel), found in cells.items():
-            sd = np.median([row["sd"] for row in found])
-            unit = 180.0 / math.pi if channel in ("roll", "pitch") else 1.0
-            texts = []
-            for horizon in horizons:
-                skill, held, inside = median_scores(found, horizon)
-                texts.append(f"{skill:.2f}\n{held:.2f}\n{100.0 * inside:.0f} %")
-            table.add_row(scenario, channel, short(unit * sd, 2), *texts)
-        console.print(table)
-    heads = ("scenario", "case", "plan", "span", "share", "Brier skill", "AUC", "AUC now")
+            unit, factor = SHOWN_UNITS[channel]
+            medians = [median_scores(found, horizon) for horizon in horizons]
+            sd = float(np.median([row["sd"] for row in found]))
+            skills.add_row(
+                scenario,
+                channel,
+                short(factor * sd, 2),
+                *(
+                    f"{m['skill']:.2f}\n{m['held']:.2f}\n{100.0 * m['coverage90']:.0f} %"
+                    for m in medians
+                ),
+            )
+            names = ("rmse", "sd", "crps")
+            texts = ["\n".join(short(factor * m[name], 2) for name in names) for m in medians]
+            errors.add_row(scenario, channel, unit, *texts)
+        console.print(skills)
+        console.print(errors)
+    scores = ("Brier", "Brier skill", "AUC", "AUC now")
+    heads = ("scenario", "case", "plan", "span", "share", *scores)
     table = new_table(f"quiet deck, {predictor}", *heads, left=heads[:3])
     for row in quiet:
-        names = ("brier_skill", "auc", "auc_now")
-        values = ("-" if row[name] is None else short(row[name], 2) for name in names)
+        given = (row[name] for name in ("brier", "brier_skill", "auc", "auc_now"))
+        values = ("-" if value is None else short(value, 2) for value in given)
         where = (row["scenario"], row["case"], row["plan"], f"{row['span_s']:g} s")
         table.add_row(*where, short(row["base_rate"], 2), *values)
     console.print(table)

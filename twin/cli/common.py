@@ -30,8 +30,10 @@ from twin.predictors.own_prior import prior_note
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
+from usv_gym.design.seaway import warning_of
+from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.schedule import SCHEDULE_HELP
-from usv_gym.world.sea import SEA_STATES
+from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
@@ -239,6 +241,12 @@ def _load_twin(path: Path, predictor: str | None, ship: str | None, model: str |
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def note_capsizing(vessel: Vessel, sea: SeaState, dof: int) -> None:
+    """Print it where a vessel will capsize in a sea."""
+    if (found := warning_of(vessel, sea, dof)) is not None:
+        note(found)
 
 
 def print_sea(sea: SeaEstimate | None) -> None:

@@ -19,11 +19,11 @@ from twin.cli.common import (
     WindOption,
     console,
     note,
+    note_capsizing,
     write_text,
 )
 from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
-from usv_gym.design.seaway import warning_of
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, ineffective_fault, parse_faults
@@ -73,8 +73,7 @@ def simulate_command(
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
     if (found := ineffective_fault(parsed, dof, suite.has_anemometer)) is not None:
         note(found)
-    if dof == 6 and (found := warning_of(boat, state)) is not None:
-        note(found)
+    note_capsizing(boat, state, dof)
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(
         manoeuvre,

@@ -177,6 +177,8 @@ def view_command(
             faults=parse_faults(faults, fault_start),
         )
         session = SimulatedSession(setup, out, autopilot)
+        for line in session.notes:
+            note(line)
     session.set_scale(speed)
     show_session(session, access, port, browser)
 

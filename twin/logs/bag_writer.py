@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
 from twin.logs.columns import Array
 from twin.logs.tables import ExportError, StateTable
+from twin.tilt import body_rates, body_velocity, body_yaw_rate
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ __all__ = [
 ]
 
 BAG_SUFFIX = ".mcap"
+
+_TILT = ("heave_m", "roll_rad", "pitch_rad")
+
+_RATES = ("vertical_speed_mps", "p_radps", "q_radps")
+"""Columns of a table of estimates, in the order of ``twin.channels.TRUE_MOTION``."""
 
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
@@ -47,12 +53,19 @@ class Event(NamedTuple):
 
 
 class Forecast(NamedTuple):
-    """A forecast made at t0 (s): times (K,), states (K, 6) and their covariances (K, 6, 6)."""
+    """A forecast made at t0 (s): times (K,), states (K, 6) and their covariances (K, 6, 6).
+
+    ``tilt`` and ``tilt_sd`` (K, 3) are heave (m, down), roll and pitch, ``tilt_rates`` (K, 3) their
+    time derivatives, where the twin forecasts them.
+    """
 
     t0: float
     t: Array
     mean: Array
     cov: Array
+    tilt: Array | None = None
+    tilt_sd: Array | None = None
+    tilt_rates: Array | None = None
 
 
 def check_bag(path: str | Path, log: Log) -> None:
@@ -164,15 +177,25 @@ class _Messages:
         z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
         return self._new(kind, x, y, z, w)
 
-    def _pose(self, state: Array, tilt: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+    def _pose(self, state: Array, tilt: Sequence[float] | Array) -> Any:
         """Return a pose; ``tilt`` is place down, roll and pitch."""
         place = self._vector(state[Y], state[X], -tilt[0], "Point")
         return self._new("geometry_msgs/msg/Pose", place, self._turn(state[PSI], *tilt[1:]))
 
     def _odometry(
-        self, t: float, state: Array, cov: Array, motion: Array | None = None, child: str = ""
+        self,
+        t: float,
+        state: Array,
+        cov: Array,
+        motion: Array | None = None,
+        sd: Array | None = None,
+        child: str = "base_link",
     ) -> Any:
-        """Return a state (6,) with its covariance (6, 6); ``motion`` is the vertical one."""
+        """Return a state (6,) with its covariance (6, 6).
+
+        ``motion`` (6,) is in the order of ``twin.channels.TRUE_MOTION``; ``sd`` (3,) is that of
+        heave, roll and pitch.
+        """
         m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
         pose = self._pose(state, (m[0], m[1], m[2]))
         linear = self._vector(state[U], -state[V], -m[3])
@@ -183,18 +206,22 @@ class _Messages:
         spread = [np.zeros((6, 6)), np.zeros((6, 6))]
         for whole, kept in zip(spread, ((Y, X, PSI), (U, V, R)), strict=True):
             whole[np.ix_((0, 1, 5), (0, 1, 5))] = turned[np.ix_(kept, kept)]
+        if sd is not None:
+            spread[0][(2, 3, 4), (2, 3, 4)] = sd**2
         return self._new(
             "nav_msgs/msg/Odometry",
             self._header(t, "map"),
-            child or "base_link",
+            child,
             self._new("geometry_msgs/msg/PoseWithCovariance", pose, spread[0].ravel()),
             self._new("geometry_msgs/msg/TwistWithCovariance", twist, spread[1].ravel()),
         )
 
-    def _transform(self, t: float, state: Array, child: str) -> Any:
-        """Return where a boat is in the map."""
-        place = self._vector(state[Y], state[X], 0.0)
-        turn = self._new("geometry_msgs/msg/Transform", place, self._turn(state[PSI]))
+    def _transform(self, t: float, state: Array, child: str, motion: Array | None = None) -> Any:
+        """Return where a boat is in the map, and how it is turned."""
+        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
+        place = self._vector(state[Y], state[X], -m[0])
+        turn = self._turn(state[PSI], m[1], m[2])
+        turn = self._new("geometry_msgs/msg/Transform", place, turn)
         header = self._header(t, "map")
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
@@ -298,35 +325,61 @@ class _Messages:
         for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):
             if np.isfinite(state).all():
                 motion = None if log.true_motion is None else log.true_motion[k]
-                whole = self._odometry(t, state, np.zeros((6, 6)), motion, "truth")
+                whole = self._odometry(t, state, np.zeros((6, 6)), motion, child="truth")
                 yield Event(self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "truth")
+                at = self._transform(t, state, "truth", motion)
                 yield Event(self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at)
 
     def estimates(self, states: StateTable) -> Iterator[Event]:
         """Yield a twin's estimates, as soon as it has one."""
+        names = states.dtype.names or ()
         columns = [np.asarray(states[name]) for name in STATE]
         sd = np.stack([np.asarray(states[f"sd_{name}"]) for name in STATE], axis=1)
+        motions, off = np.full((2, len(states), len(TRUE_MOTION)), math.nan)
+        if _TILT[0] in names:
+            motions = np.stack([np.asarray(states[name]) for name in (*_TILT, *_RATES)], axis=1)
+            off = np.stack([np.asarray(states[f"sd_{name}"]) for name in _TILT], axis=1)
         for k, (t, state) in enumerate(
             zip(np.asarray(states[TIME]).tolist(), np.stack(columns, axis=1), strict=True)
         ):
             if np.isfinite(state).all():
-                whole = self._odometry(t, state, np.diag(sd[k] ** 2))
+                heeled, motion, spread = state, None, None
+                if np.isfinite(motions[k]).all():
+                    (heeled, motion), spread = _heeled(state, motions[k]), off[k]
+                whole = self._odometry(t, heeled, np.diag(sd[k] ** 2), motion, spread)
                 yield Event(self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "base_link")
+                at = self._transform(t, state, "base_link", motion)
                 yield Event(self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at)
 
     def forecast(self, forecast: Forecast) -> Iterator[Event]:
         """Yield the path ahead when it was made, and its states with covariances at their times."""
-        poses = [
-            self._new("geometry_msgs/msg/PoseStamped", self._header(t, "map"), self._pose(state))
-            for t, state in zip(forecast.t.tolist(), forecast.mean, strict=True)
-        ]
+        poses, later = [], []
+        for k, (t, state, cov) in enumerate(
+            zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True)
+        ):
+            motion, sd = None, None
+            if forecast.tilt is not None and forecast.tilt_rates is not None:
+                tilt, (climb, *turning) = forecast.tilt[k], forecast.tilt_rates[k].tolist()
+                rates = body_rates((*turning, state[R]), tilt[1:])
+                state, motion = _heeled(state, np.array([*tilt, climb, *rates[:2]]))
+                sd = None if forecast.tilt_sd is None else forecast.tilt_sd[k]
+            pose = self._pose(state, (0.0, 0.0, 0.0) if motion is None else motion[:3])
+            header = self._header(t, "map")
+            poses.append(self._new("geometry_msgs/msg/PoseStamped", header, pose))
+            later.append((t, self._odometry(t, state, cov, motion, sd, "forecast")))
         path = self._new("nav_msgs/msg/Path", self._header(forecast.t0, "map"), poses)
         yield Event(self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path)
-        for t, state, cov in zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True):
-            whole = self._odometry(t, state, cov, child="forecast")
+        for t, whole in later:
             yield Event(self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole)
+
+
+def _heeled(state: Array, motion: Array) -> tuple[Array, Array]:
+    """Return a state and its motion with velocities and rates in the axes of the heeled boat."""
+    tilt = motion[1:3]
+    state, motion = state.copy(), motion.copy()
+    state[R] = body_yaw_rate(state[R], tilt, motion[5])
+    state[U], state[V], motion[3] = body_velocity((state[U], state[V], motion[3]), tilt)
+    return state, motion
 
 
 def _air(speed: float, source: float) -> tuple[float, float]:

@@ -312,15 +312,29 @@ class MotionForecast:
         sd = np.stack([np.interp(times, after, column) for column in self.sd.T], axis=1)
         return CubicSpline(after, self.mean)(times), sd
 
+    def rates_at(self, horizons: ArrayLike) -> Array:
+        """Return the time derivatives of the means, shape (h, 4), at times after t0 (h,), s.
+
+        After the last row they are 0.
+        """
+        after, times = self.t - self.t0, np.asarray(horizons, dtype=np.float64)
+        rates = CubicSpline(after, self.mean)(np.clip(times, 0.0, after[-1]), 1)
+        return np.where((times > after[-1])[:, None], 0.0, rates)
+
     def columns(self, t: Array) -> dict[str, Array]:
-        """Return columns by name at times (N,): means, then ``sd_``, ``low_`` and ``high_``."""
+        """Return columns by name at times (N,): means, then ``sd_``, ``low_`` and ``high_``.
+
+        Then those of ``quiet``, from ``t0`` on and so the same in every row.
+        """
         mean, sd = self.at(t - self.t0)
         parts = {"": mean, "sd_": sd, "low_": mean - Z90 * sd, "high_": mean + Z90 * sd}
-        return {
+        moments = {
             f"{kind}{name}": part[:, k]
             for kind, part in parts.items()
             for k, name in enumerate(CHANNELS)
         }
+        quiet = zip(QUIET_SPANS, self.quiet.tolist(), strict=True)
+        return moments | {f"quiet_{span:g}s": np.full(len(t), chance) for span, chance in quiet}
 
 
 class DeckMotion:

@@ -156,7 +156,9 @@ class Prediction:
 
         Its columns are ``t_s``; date, latitude and longitude where the datum has them. Then the
         means by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and
-        ``high_``. Where there is a ``motion``, those of ``twin.motion.CHANNELS`` follow.
+        ``high_``. Where there is a ``motion``, those of ``twin.motion.CHANNELS`` follow, and
+        ``quiet_2s``, ``quiet_3s`` and ``quiet_5s``: the probabilities of a quiet deck from ``t0``
+        on, the same in every row.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ from twin.predictors.ukf import (
     UKFPredictor,
     plain,
 )
-from twin.sim.bridge import particulars_of
+from twin.sim.bridge import particulars_of, with_deck_point
 from twin.sim.forecast_scores import (
     EVERY,
     GRADED_AT,
@@ -529,7 +529,8 @@ def observer_of(
     """Return the twins of n boats.
 
     ``twin`` is a name in ``twin.PREDICTORS``, or a predictor, of which many boats get copies;
-    ``particulars`` are those of the vessel if left out. Others: see :class:`TwinObserver`.
+    ``particulars`` are those of the vessel if left out; their deck point is that of the episodes.
+    Others: see :class:`TwinObserver`.
     """
     if observation not in TWIN_SETS:
         raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(TWIN_SETS)}")
@@ -541,6 +542,8 @@ def observer_of(
             raise PredictorError(f"{twin} is given the sea: name one, not {len(episodes.seas)}")
         options = simulator_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
+    if sim.dof == 6:
+        particulars = with_deck_point(particulars, episodes.deck_point)
     first = Twin(particulars, twin, seed=seed, **options)
     kind = _COMPILED.get(type(first.predictor), SeparateTwins)
     return kind(episodes, first, band_period, observation, forecast_scores)

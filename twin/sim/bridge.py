@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import COMPASS, GYRO, SENSOR_CHANNELS
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "CONTROL_STEP",
@@ -38,6 +40,7 @@ __all__ = [
     "prepare",
     "sail",
     "simulate",
+    "with_deck_point",
 ]
 
 Array = NDArray[np.float64]
@@ -115,6 +118,25 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             **({"wind_height": suite.wind_height} if suite.has_anemometer else {}),
         ),
     )
+
+
+def with_deck_point(particulars: Particulars, point: tuple[float, ...]) -> Particulars:
+    """Return particulars with the deck point of an environment, m.
+
+    Raises
+    ------
+    UsvTwinError
+        If they name another point.
+    """
+    own = particulars.deck.point_of(particulars.length)
+    if own == point:
+        return particulars
+    if particulars.deck.point is not None:
+        raise UsvTwinError(
+            f"particulars: their deck point is {own} m, that of the environment {point} m; make "
+            f"the environment with deck_point={own}"
+        )
+    return dataclasses.replace(particulars, deck=dataclasses.replace(particulars.deck, point=point))
 
 
 def measurement_row(channels: Array) -> Array:

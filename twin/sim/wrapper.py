@@ -17,7 +17,13 @@ from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
-from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
+from twin.sim.bridge import (
+    TRUE_STATE,
+    VERTICAL,
+    measurement_row,
+    particulars_of,
+    with_deck_point,
+)
 from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
@@ -203,6 +209,8 @@ class USVTwinEnv(USVEnv):
         **kwargs: Any,
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
+        if particulars is not None and particulars.deck.point is not None:
+            kwargs.setdefault("deck_point", particulars.deck.point)
         super().__init__(observer=watch, **kwargs)
         assert isinstance(self.observer, (TwinObserver, UnseenTwins))
         self.twin = self.observer.first
@@ -235,6 +243,8 @@ class USVTwinVectorEnv(USVVectorEnv):
         **kwargs: Any,
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
+        if particulars is not None and particulars.deck.point is not None:
+            kwargs.setdefault("deck_point", particulars.deck.point)
         super().__init__(num_envs, observer=watch, **kwargs)
 
     def twin(self, i: int) -> Twin:
@@ -437,5 +447,7 @@ def log_of(
     if path is not None:
         log.write(path)
         particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
+        if base.simulation.dof == 6:
+            particulars = with_deck_point(particulars, base.episodes.deck_point)
         write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
     return log

@@ -98,9 +98,12 @@ def _sail(key: _Key, sea: SeaState) -> SeaTrial:
     return SeaTrial(float(largest.max()), tuple(map(float, capsized)))
 
 
-def warning_of(vessel: Vessel, sea: SeaState) -> str | None:
-    """Return what to expect of a vessel that capsizes in a sea; None of one that does not."""
-    if sea.hs <= 0.0:
+def warning_of(vessel: Vessel, sea: SeaState, dof: int) -> str | None:
+    """Return what to expect of a vessel that capsizes in a sea; None of one that does not.
+
+    With ``dof=3`` no vessel does.
+    """
+    if dof != 6 or sea.hs <= 0.0:
         return None
     if sea.schedule:  # the worst of a sea that changes, for as long as the trial takes
         worst = max(sea.schedule, key=lambda moment: moment.hs)

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.sea import SeaKeyframe, SeaState
-from usv_gym.world.sensors import SensorSuite
+from usv_gym.world.sensors import ARM_MAX, SensorSuite
 from usv_gym.world.simulation import substeps_of
 from usv_kernel.errors import UsvTwinError, check_number, check_options, check_whole
 
@@ -27,6 +29,17 @@ PENALTY_MAX = 1e3
 
 DEGREES_MAX = 3600.0
 """Largest angle that may be given, degrees."""
+
+
+def _check_point(point: object) -> None:
+    """Refuse a deck point that is not three lengths."""
+    listed = isinstance(point, (tuple, list)) or (isinstance(point, np.ndarray) and point.ndim == 1)
+    if not listed or len(point) != 3:  # type: ignore[arg-type]
+        raise UsvTwinError(
+            f"deck_point = {point!r}: must be three lengths in m (forward, to starboard, down)"
+        )
+    for length in point:  # type: ignore[attr-defined]
+        check_number("deck_point", length, -ARM_MAX, ARM_MAX)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +74,9 @@ class EnvConfig:
         Weight of the reward's term ``motion``, with ``dof=6``: minus the square of the roll over 10
         degrees, and that of the vertical acceleration of the deck point over 2 m/s2. Left out, it
         is that of the task: 0, but for ``"seakeeping"``.
+    deck_point : tuple of float, optional
+        Point of the deck where the vertical acceleration counts, m forward, to starboard and down
+        of the origin; 0.4 lengths forward if left out. It is that of the twin's forecasts, too.
     actions : str
         ``"common"`` or ``"units"``.
     frame_skip : int
@@ -83,6 +99,7 @@ class EnvConfig:
     faults: str | Sequence[Disturbance] = "none"
     task: str = "path"
     motion_penalty: float | None = None
+    deck_point: tuple[float, float, float] | None = None
     actions: str = "common"
     frame_skip: int = 1
     dof: int = 3
@@ -97,6 +114,9 @@ class EnvConfig:
             check_number("wind_from_deg", self.wind_from_deg, -DEGREES_MAX, DEGREES_MAX)
         if self.motion_penalty is not None:
             check_number("motion_penalty", self.motion_penalty, 0.0, PENALTY_MAX)
+        if self.deck_point is not None:
+            _check_point(self.deck_point)
+            object.__setattr__(self, "deck_point", tuple(map(float, self.deck_point)))
         substeps_of(self.dt, self.dt_physics)
 
     @classmethod

@@ -358,6 +358,8 @@ class Episodes:
         The simulator.
     task : Task
         What is asked of the boats.
+    deck_point : tuple of float
+        Point of the deck where the motion counts, m forward, to starboard and down of the origin.
     speed : float
         Nominal speed, m/s.
     width : int
@@ -385,10 +387,9 @@ class Episodes:
             dt=config.dt,
             dt_physics=config.dt_physics,
         )
-        if config.dof == 6:
-            for sea in self.seas:
-                if (found := warning_of(self.vessel, sea)) is not None:
-                    warnings.warn(found, CapsizeWarning, stacklevel=2)
+        for sea in self.seas:
+            if (found := warning_of(self.vessel, sea, config.dof)) is not None:
+                warnings.warn(found, CapsizeWarning, stacklevel=2)
         limits = self.vessel.values
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
@@ -396,6 +397,9 @@ class Episodes:
         self.speed = self.vessel.straight_speed(n_manoeuvring)
         length, motion = limits["length_waterline"], config.motion_penalty
         self.task = make_task(config.task, n, self.speed, length, motion)
+        if config.deck_point is not None:
+            self.task.rules["deck"] = config.deck_point
+        self.deck_point: tuple[float, ...] = tuple(self.task.rules["deck"].tolist())
         if config.dof != 6 and self.task.rules["motion"] > 0.0:
             what = f"task = {config.task!r}" if motion is None else f"motion_penalty = {motion}"
             raise TaskError(f"{what}: a boat with dof=3 does not roll; use dof=6")

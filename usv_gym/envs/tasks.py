@@ -44,7 +44,7 @@ ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
 and the most that a step costs, before the weight."""
 
 DECK = 0.4
-"""The deck point, in lengths forward of the origin."""
+"""Where the deck point lies if nothing is said: lengths forward of the origin."""
 
 FAILURE = 500.0
 """What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
@@ -126,7 +126,7 @@ RULES = np.dtype(
         ("unit", float),  # m, distance off the path that counts as 1
         ("loose", float),  # how much less a distance off the path costs
         ("motion", float),  # weight of roll and vertical acceleration
-        ("deck", float),  # m, the deck point forward of the origin
+        ("deck", float, 3),  # m, the deck point forward, to starboard and down of the origin
     ]
 )
 """What is common to the tasks of all boats."""
@@ -187,7 +187,10 @@ def score_step(
     if rules.motion > 0.0:
         # of the deck point, along the mast
         lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
-        lift -= rules.deck * (rate[fr.Q] - state[fr.P] * state[fr.R])
+        ahead, side, down = rules.deck[0], rules.deck[1], rules.deck[2]
+        p, q, r = state[fr.P], state[fr.Q], state[fr.R]
+        lift -= ahead * (rate[fr.Q] - p * r)
+        lift += side * (rate[fr.P] + q * r) - down * (p * p + q * q)
         rough = (state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2
         fifth = -rules.motion * min(rough, MOTION_MOST)
         task.terms[4] += fifth
@@ -244,7 +247,7 @@ class Task:
         self.rules["reach"], self.rules["area"] = self.reach * length, self.area * self.unit
         self.rules["unit"], self.rules["loose"] = self.unit, self.loose
         self.rules["motion"] = self.motion if motion is None else motion
-        self.rules["deck"] = DECK * length
+        self.rules["deck"] = DECK * length, 0.0, 0.0
         if self.rules["motion"] > 0.0:
             self.terms = (*self.terms, MOTION)
         self.points = np.zeros((n, self.legs + 1, 2))
@@ -344,7 +347,7 @@ class Seakeeping(PathFollowing):
     ``failure`` are those of a path, and ``cross_track`` is a third of it: the boat may choose
     a better heading or speed for a while. ``motion`` is minus 0.5 times the square of the roll over
     10 degrees, plus that of the vertical acceleration of the deck point over 2 m/s2, at most 4
-    together. The deck point lies 0.4 lengths forward.
+    together. The deck point is that of the environment's ``deck_point``.
     """
 
     legs = 1

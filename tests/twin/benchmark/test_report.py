@@ -354,15 +354,20 @@ def test_forecasts_of_roll_and_of_a_quiet_deck_are_shown(tmp_path):
     motion = [
         {**here, "seed": k, "channel": "roll", "horizon_s": h, "sd": 0.1}
         | {"skill": 0.125 * h + 0.01 * k, "held": 1.5, "coverage90": 0.885}
+        | {"rmse": 0.0125 * h, "crps": 0.007}
         for k in range(3)
         for h in (1.0, 2.0)
     ]
     quiet = {**here, "span_s": 2.0, "base_rate": 0.375, "auc": None, "auc_now": 0.6875}
+    quiet["brier"] = 0.125
     quiet["reliability"] = [[0.05, 0.1, 40], [0.62, 0.5, 30], [0.85, 1.0, 3]]
     found = results(motion=motion, quiet=[{**quiet, "brier_skill": -0.25}])
     text = page(write_report(tmp_path, found, []))
     assert "<td>0.135<br><small>1.50</small><br><small>88 %</small></td><td>0.260<br>" in text
     assert "<td>2 s</td><td>0.375</td><td>-0.250</td><td>-</td><td>0.688</td>" in text
+    assert "<td>0.688</td><td>0.125</td>" in text
+    # degrees, though the rows are in rad
+    assert "<td>deg</td><td>0.716<br><small>5.73</small><br><small>0.401</small></td>" in text
     assert (tmp_path / "pictures" / "quiet_reliability.svg").is_file()
     picture = figures.reliability_figure([quiet, quiet])
     curve = picture.axes[0].lines[1].get_xydata()

@@ -123,8 +123,12 @@ def telemetry(
     boot: float = 100.0,
     late: float = 0.3,
     receiver: bool = True,
+    flags: int | None = None,
 ) -> bytes:
-    """Return a telemetry log of a run; packets arrive late, and its own position is off."""
+    """Return a telemetry log of a run; packets arrive late, and its own position is off.
+
+    With ``flags``, accelerations are those of HIGHRES_IMU, and of RAW_IMU else.
+    """
     from pymavlink.dialects.v20 import common as dialect
 
     link, parts = dialect.MAVLink(None, 1, 1), []
@@ -149,7 +153,10 @@ def telemetry(
         send(at, dialect.MAVLink_servo_output_raw_message((us - 3000) % 2**32, 0, *outputs))
         force = [z[f"accel_{axis}_mps2"] for axis in "xyz"]
         milli = [round(1e3 * value / 9.80665) for value in force]
-        send(at, dialect.MAVLink_raw_imu_message(us, *milli, 0, 0, 0, 0, 0, 0))
+        if flags is None:
+            send(at, dialect.MAVLink_raw_imu_message(us, *milli, 0, 0, 0, 0, 0, 0))
+        else:
+            send(at, dialect.MAVLink_highres_imu_message(us, *force, *[0.0] * 10, flags))
         off = [round(1e7 * (value + 0.01)) + 10 * k for value in HOME]
         send(at, dialect.MAVLink_global_position_int_message(ms, *off, 0, 0, k, k, 0, 0))
         if row.fix and receiver:

@@ -249,6 +249,13 @@ def test_telemetry_keeps_its_clock_where_microseconds_wrap(tmp_path):
     assert np.allclose(log.cmd[2:-1, 1], RUN.cmd[2:-1, 1] / 20.0, atol=0.002)
 
 
+def test_accelerations_that_an_imu_does_not_flag_are_missing(tmp_path):
+    pytest.importorskip("pymavlink")
+    log = Log.read(written(tmp_path / "a.tlog", telemetry(RUN, SKID, flags=0b101)))
+    there = [bool(np.isfinite(log.z[:, COLUMN[f"accel_{axis}_mps2"]]).any()) for axis in "xyz"]
+    assert there == [True, False, True]
+
+
 def test_broken_packets_are_left_out(tmp_path):
     pytest.importorskip("pymavlink")
     whole = bytearray(telemetry(RUN, SKID))

@@ -25,14 +25,14 @@ def test_a_stiff_boat_is_not_blamed_and_rolls_more_in_higher_waves() -> None:
     tilts = [sail_in_sea(boat, SeaState.named(sea)).tilt for sea in ("1", "2", "3")]
     assert tilts == sorted(tilts)
     assert tilts[0] < math.radians(6.0)
-    assert warning_of(boat, SeaState.named("4")) is None
-    assert warning_of(TENDER, SeaState.named("calm")) is None
+    assert warning_of(boat, SeaState.named("4"), 6) is None
+    assert warning_of(TENDER, SeaState.named("calm"), 6) is None
 
 
 def test_a_tender_ship_is_named_with_its_sea_and_headings() -> None:
     trial = sail_in_sea(TENDER, SeaState.named("4"))
     assert trial.capsized
-    said = warning_of(TENDER, SeaState.named("4"))
+    said = warning_of(TENDER, SeaState.named("4"), 6)
     assert said is not None
     assert said.startswith("kvlcc2_l7 capsizes in waves of 2.5 m within a minute")
     found = inspect(TENDER)
@@ -46,10 +46,14 @@ def test_the_worst_moment_of_a_sea_that_changes_counts() -> None:
         SeaKeyframe(100.0, 2.5, 10.0),
         SeaKeyframe(160.0, 0.1, 4.5),
     )
-    said = warning_of(TENDER, SeaState(schedule=moments))
+    said = warning_of(TENDER, SeaState(schedule=moments), 6)
     assert said is not None
     assert "waves of 2.5 m" in said
-    assert warning_of(TENDER, SeaState(schedule=(SeaKeyframe(0.0, 0.05, 1.0),))) is None
+    assert warning_of(TENDER, SeaState(schedule=(SeaKeyframe(0.0, 0.05, 1.0),)), 6) is None
+
+
+def test_with_three_degrees_of_freedom_no_vessel_capsizes() -> None:
+    assert warning_of(TENDER, SeaState.named("4"), 3) is None
 
 
 def test_the_trial_repeats_itself_and_is_that_of_the_numbers() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 
@@ -16,13 +17,16 @@ from gymnasium.wrappers import (
     TimeLimit,
 )
 
-from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
+from twin.particulars import Deck, Particulars
+from twin.sim.bridge import particulars_of
+from twin.sim.wrapper import OBSERVATIONS, TwinObservation, log_of, make_env, make_vector_env
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
 from usv_gym.physics import frames as fr
+from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Fault, FaultWarning
-from usv_kernel.errors import ArgumentError
+from usv_kernel.errors import ArgumentError, UsvTwinError
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
 SPEED, LENGTH = 5.0, 7.5
@@ -443,29 +447,76 @@ def test_a_million_random_steps_in_a_storm_with_every_fault_are_numbers():
 # ------------------------------------------------- motion of the boat
 
 
-def test_motion_costs_by_roll_and_by_the_acceleration_of_the_deck():
-    env = make_env(twin=None, dof=6, sea="3", motion_penalty=0.25)
+@pytest.mark.parametrize("point", [None, (2.5, 1.0, -1.5)])
+def test_motion_costs_by_roll_and_by_the_acceleration_of_the_deck(point):
+    env = make_env(twin=None, dof=6, sea="3", motion_penalty=0.25, deck_point=point)
     env.reset(seed=1)
-    deck, before = 0.4 * env.vessel.values["length_waterline"], None
+    a, b, c = point or (0.4 * env.vessel.values["length_waterline"], 0.0, 0.0)
+    before = None
     for _ in range(100):
         *_, info = env.step(np.array([0.6, 0.3]))
         state, rate = env.simulation.state[0], env.simulation.boats["mean_rate"][0]
+        p, q, r = state[[fr.P, fr.Q, fr.R]]
         assert list(info["reward_terms"])[-1] == "motion"
         # the deck point's own acceleration along the mast, by its velocity
-        w = state[fr.W] - deck * state[fr.Q]
+        u, v, w = state[[fr.U, fr.V, fr.W]] + np.cross([p, q, r], [a, b, c])
         if before is not None:
-            turning = state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
-            turning += deck * state[fr.P] * state[fr.R]
-            lift = (w - before) / 0.05 + turning
+            lift = (w - before) / 0.05 + p * v - q * u
             rough = (state[fr.PHI] / math.radians(10.0)) ** 2 + (lift / 2.0) ** 2
             assert info["reward_terms"]["motion"] == pytest.approx(
                 -0.25 * min(rough, 4.0), rel=1e-6, abs=1e-9
             )
-            assert rate[fr.W] - deck * rate[fr.Q] == pytest.approx((w - before) / 0.05)
+            mean = rate[fr.W] - a * rate[fr.Q] + b * rate[fr.P]
+            assert mean == pytest.approx((w - before) / 0.05)
         before = w
     plain = make_env(twin=None, dof=6, sea="3")
     plain.reset(seed=1)
     assert "motion" not in plain.step(np.array([0.6, 0.3]))[-1]["reward_terms"]
+
+
+SEAKEEPING = {"task": "seakeeping", "observation": "twin_attitude", "twin": "ukf", "dof": 6}
+POINT = 2.5, 1.0, -1.5
+BOAT = particulars_of(Vessel.load("usv75"), dof=6)
+POINTED = dataclasses.replace(BOAT, deck=Deck(point=POINT))
+
+
+@pytest.mark.parametrize("given", [{"deck_point": POINT}, {"particulars": POINTED}])
+def test_reward_and_twin_have_the_same_deck_point(given):
+    env = make_env(**SEAKEEPING, **given)
+    envs = make_vector_env(2, **SEAKEEPING, **given)
+    for one, twin in ((env, env.twin), (envs, envs.twin(1))):
+        assert one.episodes.deck_point == POINT
+        assert tuple(one.episodes.config["rules"]["deck"]) == POINT
+        assert twin.particulars.deck.point == POINT
+    alone = [env.reset(seed=3)[0], *(env.step(np.array([0.6, 0.3]))[0] for _ in range(40))]
+    both = [envs.reset(seed=[3, 4])[0][0]]
+    both += [envs.step(np.full((2, 2), [0.6, 0.3]))[0][0] for _ in range(40)]
+    np.testing.assert_array_equal(alone, both)
+    # what the twin says of the point in the observation is of this point
+    now = env.twin.attitude
+    k = env.observation_names.index("twin_deck_speed")
+    assert alone[-1][k] == pytest.approx(now.deck_speed, abs=1e-6)
+    turn = env.twin.estimate().state[5]
+    assert now.deck_speed == pytest.approx(now.vertical_speed_at(POINT, turn), abs=0.1)
+
+
+def test_a_deck_point_of_its_own_goes_with_the_log(tmp_path):
+    env = make_env(twin=None, task="seakeeping", dof=6, deck_point=POINT, record=True)
+    env.reset(seed=0)
+    env.step(env.episodes.nominal_action)
+    log_of(env, tmp_path / "a.csv")
+    assert Particulars.load(tmp_path / "a.toml").deck.point == POINT
+
+
+def test_two_deck_points_are_refused():
+    with pytest.raises(UsvTwinError, match=r"deck_point=\(2\.5, 1\.0, -1\.5\)"):
+        make_env(**SEAKEEPING, particulars=POINTED, deck_point=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("wrong", [(1.0, 2.0), 3.0, "bow", (1.0, math.nan, 0.0), (0, 0, 1e9)])
+def test_a_deck_point_that_is_none_is_refused(wrong):
+    with pytest.raises(UsvTwinError, match="deck_point"):
+        make_env(twin=None, dof=6, deck_point=wrong)
 
 
 def test_seakeeping_wants_a_boat_that_rolls_and_is_lenient_off_the_course():

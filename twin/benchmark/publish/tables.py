@@ -8,7 +8,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from twin.benchmark.metrics import BASELINE, ORACLE
+from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.tables import number
 
 __all__ = [
@@ -35,10 +38,13 @@ COLUMNS = {
 UNITS = {"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"}
 """Units of the metrics that have one."""
 
-IDEAL = {"coverage90": 0.9}
+IDEAL = {"coverage90": 0.9, "motion_coverage90": 0.9}
 """Metrics whose best value is neither the smallest nor the largest."""
 
-LARGEST = ("skill",)
+LARGEST = ("skill", "brier_skill", "auc")
+
+NO_RACE = ("motion_sd", "motion_held", "base_rate", "auc_now")
+"""What the sea does, and what the present state says: no predictor's."""
 
 FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}"
 """Scales a table down to the width of the text, and none up."""
@@ -63,6 +69,8 @@ def _best(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | None:
 
     The oracle knows the true boat and takes no part.
     """
+    if metric in NO_RACE:
+        return None
     values = [factor * row["value"] for row in rows if row["predictor"] != ORACLE]
     values = [value for value in values if math.isfinite(value)]
     if len(values) < 2:
@@ -91,6 +99,31 @@ def _recorded(results: Row) -> list[dict[str, Any]]:
     ]
 
 
+def _motion(results: Row) -> list[dict[str, Any]]:
+    """Return the scores of roll, pitch, heave and a quiet deck, as rows like those of the summary.
+
+    Those of the motion are means over runs; ``score`` is what they are compared by.
+    """
+    table, own = [], (*CELL, "fault", "sea", "grade", "predictor")
+    for block in _groups(results.get("motion") or [], *own, "channel", "horizon_s").values():
+        first = block[0]
+        channel, ahead = first["channel"], f"{first['horizon_s']:g}s"
+        for score in MOTION_METRICS:
+            values = [row[score] for row in block]
+            found = {"value": float(np.mean(values)), "median": float(np.median(values))}
+            unit = MOTION_UNITS[channel] if score in ("rmse", "sd", "crps") else ""
+            names = {"metric": f"{channel}_{ahead}_{score}", "score": f"motion_{score}"}
+            runs = {"runs": len(block), "unit": unit, "low": None, "high": None}
+            table.append({**{key: first.get(key, "") for key in own}, **names, **found, **runs})
+    for row in results.get("quiet") or []:
+        for score in ("base_rate", "brier", "brier_skill", "auc", "auc_now"):
+            if row[score] is not None:
+                names = {"metric": f"quiet_{row['span_s']:g}s_{score}", "score": score}
+                cell = {key: row.get(key, "") for key in own}
+                table.append({**cell, **names, "value": row[score], "low": None, "high": None})
+    return table
+
+
 def _runs(results: Row) -> Counter[tuple[Any, ...]]:
     """Return how many runs each cell of the summary is the mean of."""
     keys = (*CELL, "predictor")
@@ -98,7 +131,7 @@ def _runs(results: Row) -> Counter[tuple[Any, ...]]:
 
 
 def csv_text(results: Row) -> str:
-    """Return every value of the summary, and of the recorded runs, as one CSV table.
+    """Return every value of the summary, of recorded runs, and of the motion, as one CSV table.
 
     Parameters
     ----------
@@ -114,13 +147,13 @@ def csv_text(results: Row) -> str:
     import polars as pl
 
     count, table = _runs(results), []
-    rows = [*(results.get("summary") or []), *_recorded(results)]
+    rows = [*(results.get("summary") or []), *_recorded(results), *_motion(results)]
     for block in _groups(rows, *CELL, "metric").values():
-        best = _best(block[0]["metric"], block)
+        best = _best(block[0].get("score", block[0]["metric"]), block)
         for row in block:
             own = tuple(row.get(key, "") for key in (*CELL, "predictor"))
             more = {
-                "unit": UNITS.get(row["metric"], ""),
+                "unit": row.get("unit", UNITS.get(row["metric"], "")),
                 "runs": row.get("runs", count[own]),
                 "best": best is not None and _is_best(row, best),
             }

@@ -16,6 +16,7 @@ from twin.cli.common import (
     WindFromOption,
     WindOption,
     console,
+    note_capsizing,
     radians,
 )
 from usv_gym.cosimulation.unit import CosimulationError, write_unit
@@ -54,5 +55,6 @@ def fmu_command(
     if state.schedule:
         raise CosimulationError("a unit's sea does not change; give single numbers, without @")
     state = state.replace(current=current, current_to=radians(current_to))
+    note_capsizing(Vessel.load(vessel), state, dof)
     write_unit(vessel, path, state, seed=seed, dof=dof, dt=step)
     console.print(f"{path}: {Vessel.load(vessel).name}, FMI 2.0 for co-simulation", soft_wrap=True)

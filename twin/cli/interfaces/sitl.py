@@ -22,6 +22,7 @@ from twin.cli.common import (
     WindOption,
     console,
     note,
+    note_capsizing,
     radians,
     write_text,
 )
@@ -138,6 +139,7 @@ def sitl_command(
     parsed, suite = parse_faults(faults, fault_start), suite_of(sensors)
     for kind in unmirrored(parsed):
         note(f"the fault {kind} strikes the twin's sensors alone, not those of the autopilot")
+    note_capsizing(boat, state, 6)
     step = 1.0 / rate
     simulation = Simulation(
         1, boat, state, suite=suite, faults=parsed, dof=6, dt=step, dt_physics=step

@@ -34,7 +34,7 @@ from twin.logs.bag_writer import BAG_SUFFIX, Forecast, write_bag
 from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.readers import Clock, CsvFile
-from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
+from twin.motion import CHANNELS, QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT
 
@@ -102,13 +102,24 @@ def predict_command(
     if prediction.motion is not None:
         _print_motion(prediction.motion, twin.sea)
     if out is not None and out.suffix == BAG_SUFFIX:
-        ahead = Forecast(prediction.t0, prediction.t, prediction.mean, prediction.cov)
-        write_bag(out, run, states, ahead)
+        write_bag(out, run, states, _forecast(prediction))
         console.print(f"log, estimates and prediction: {out}")
     elif out is not None:
         about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
         prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
         console.print(f"every 0.1 s: {out}")
+
+
+def _forecast(prediction: Prediction) -> Forecast:
+    """Return a prediction as a bag has it."""
+    whole = Forecast(prediction.t0, prediction.t, prediction.mean, prediction.cov)
+    motion = prediction.motion
+    if motion is None:
+        return whole
+    after = prediction.t - motion.t0
+    columns = [CHANNELS.index(name) for name in ("heave_m", "roll_rad", "pitch_rad")]
+    mean, sd, rates = (part[:, columns] for part in (*motion.at(after), motion.rates_at(after)))
+    return whole._replace(tilt=mean, tilt_sd=sd, tilt_rates=rates)
 
 
 def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:

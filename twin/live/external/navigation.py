@@ -325,8 +325,7 @@ class ExternalNavigation:
             north, east = plane.metres(*self.peer.origin)
             yield write.odometry(
                 stamp,
-                estimate.state,
-                estimate.sd,
+                estimate,
                 origin=(float(north), float(east)),
                 resets=self._jumps.take(estimate.t, estimate.state),
                 quality=-1 if self.state == "gave up" else 100,

@@ -2,7 +2,8 @@
 
 Taken are GLOBAL_POSITION_INT (fix and velocity, with height and climb), ATTITUDE (heading, roll,
 pitch and rates), the accelerometers of HIGHRES_IMU, SCALED_IMU or RAW_IMU, and SERVO_OUTPUT_RAW
-(commands, by :class:`Servos`). WIND_COV and ArduPilot's WIND are the true wind. They are of one
+(commands, by :class:`Servos`). The gyros of the IMU count where ATTITUDE has no rates, and of
+HIGHRES_IMU what its flags name. WIND_COV and ArduPilot's WIND are the true wind. They are of one
 component: the first that sends GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE.
 While GPS_RAW_INT says that there is no fix, the position is no measurement but the autopilot's own
 dead reckoning, and counts as void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in
@@ -35,9 +36,10 @@ from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
-from twin.live.protocols.sockets import needed
+from twin.live.protocols.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.base import Estimate, Prediction
+from twin.tilt import body_velocity, body_yaw_rate
 from usv_kernel.servos import Servos
 
 __all__ = [
@@ -55,11 +57,22 @@ UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
 NEAR = 5.0
 """A servo output whose time differs by more than this, s, from the last one has another clock."""
 
+RATES_GONE = 2.0
+"""So long after the last rates of ATTITUDE those of the IMU count, s."""
+
 HEARTBEAT = 1.0
 """Time between two, s."""
 
 REQUEST_MESSAGE, ORIGIN_MESSAGE = 512, 49
 """Command that asks for a message, and the message GPS_GLOBAL_ORIGIN."""
+
+_IMU_PARTS = (
+    *("accel_x_mps2", "accel_y_mps2", "accel_z_mps2"),
+    *("gyro_x_radps", "gyro_y_radps", "gyro_radps"),
+)
+"""What an IMU measures, in the order of the flags of HIGHRES_IMU."""
+
+ALL_PARTS = 2 ** len(_IMU_PARTS) - 1
 
 AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
@@ -91,8 +104,15 @@ class MavlinkFeed(Feed):
         self._boot = math.nan
         self._greeted = -math.inf
         self._jumps = JumpCounter()
+        self._heard = -math.inf
+        self._rated: dict[str, float] = {}
         self.local_origin: tuple[float, float] | None = None
         super().__init__(address, particulars, reply, **options)
+
+    def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
+        """See :meth:`Feed.receive`."""
+        self._heard = arrival
+        super().receive(data, arrival, source)
 
     def decode(self, data: bytes) -> Iterator[Message | str]:
         """Yield the messages of a datagram; see :meth:`Feed.decode`."""
@@ -130,10 +150,11 @@ class MavlinkFeed(Feed):
             yield write.attitude(now, heading, rate)
         else:
             tilt, rates = (motion.roll, motion.pitch), (motion.roll_rate, motion.pitch_rate)
-            yield write.attitude(now, heading, rate, tilt, rates)
+            turn = float(body_yaw_rate(rate, tilt, motion.pitch_rate))
+            yield write.attitude(now, heading, turn, tilt, rates)
         resets = self._jumps.take(estimate.t, estimate.state)
         origin = self.offset
-        yield write.odometry(now, estimate.state, estimate.sd, origin=origin, resets=resets)
+        yield write.odometry(now, estimate, origin=origin, resets=resets)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = np.array([h for h in HORIZONS if h <= end])
@@ -209,19 +230,28 @@ class MavlinkFeed(Feed):
         found |= {"ahrs_roll_rad": item.roll, "ahrs_pitch_rad": item.pitch}
         found |= {"gyro_x_radps": item.rollspeed, "gyro_y_radps": item.pitchspeed}
         values = {name: value for name, value in found.items() if not math.isnan(value)}
+        self._rated |= dict.fromkeys(values.keys() & set(_IMU_PARTS), self._heard)
         return Message("attitude", stamp, values, void=not values)
 
     def _imu(self, item: Any) -> Message:
-        """Return the accelerations of an IMU; that of milli-g is of the autopilot's own scale."""
-        scale = 1.0 if item.get_type() == "HIGHRES_IMU" else GRAVITY / 1000.0
+        """Return accelerations and rates of an IMU; milli-g are of the autopilot's own scale."""
+        force, turn, flags = 1.0, 1.0, ALL_PARTS
+        if item.get_type() == "HIGHRES_IMU":
+            flags = item.fields_updated
+        else:
+            force, turn = GRAVITY / 1000.0, 1.0 / 1000.0
         if item.get_type() == "SCALED_IMU":
             stamp = item.time_boot_ms / 1000.0
         else:
             stamp = item.time_usec / 1e6
         timed = abs(stamp - self._boot) < NEAR
-        names = "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"
-        parts = (scale * float(value) for value in (item.xacc, item.yacc, item.zacc))
-        values = {name: v for name, v in zip(names, parts, strict=True) if math.isfinite(v)}
+        values = {}
+        parts = item.xacc, item.yacc, item.zacc, item.xgyro, item.ygyro, item.zgyro
+        for bit, (name, part) in enumerate(zip(_IMU_PARTS, parts, strict=True)):
+            # the autopilot's own rates have lost the bias of its gyros
+            rated = self._heard - self._rated.get(name, -math.inf) < RATES_GONE
+            if flags & 1 << bit and math.isfinite(part) and not rated:
+                values[name] = (force if bit < 3 else turn) * float(part)
         return Message("imu", stamp if timed else None, values, void=not values)
 
     def _servo_outputs(self, item: Any) -> Message:
@@ -332,11 +362,14 @@ class MavlinkWriter:
         return self._pack(made(_ms(stamp), *tilt, yaw, *rates, rate))
 
     def imu(self, stamp: float, force: tuple[float, float, float]) -> bytes:
-        """Return the specific force forward, to starboard and down, m/s2."""
+        """Return the specific force forward, to starboard and down, m/s2; NaN where unknown."""
         made = self._dialect.MAVLink_highres_imu_message
+        known = [not math.isnan(value) for value in force]
+        numbers = (value if here else 0.0 for value, here in zip(force, known, strict=True))
         still = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        # bits 0 to 2 of the last field: which parts are new
-        return self._pack(made(round(1e6 * stamp), *force, *still, 7))
+        # bits of the last field: which parts are new
+        flags = sum(here << bit for bit, here in enumerate(known))
+        return self._pack(made(round(1e6 * stamp), *numbers, *still, flags))
 
     def wind(self, stamp: float, known: dict[str, float]) -> list[bytes]:
         """Return the true wind of measurements by name; no message holds the apparent one."""
@@ -350,14 +383,13 @@ class MavlinkWriter:
     def odometry(
         self,
         stamp: float,
-        state: Array,
-        sd: Array,
+        estimate: Estimate,
         *,
         origin: tuple[float, float] = (0.0, 0.0),
         resets: int = 0,
         quality: int = 100,
     ) -> bytes:
-        """Return a state and its standard deviations, shapes (6,), (6,).
+        """Return an estimate with its variances; roll, pitch and heave where it has them.
 
         ``origin`` is that of the autopilot's local frame, m north and east. ``resets`` counts the
         jumps of the estimate. ``quality`` is per cent, -1 for an estimate that has failed.
@@ -365,25 +397,34 @@ class MavlinkWriter:
         Notes
         -----
         ArduPilot takes frame MAV_FRAME_LOCAL_FRD alone, and an infinite or unknown variance stops
-        it from arming. Variances of what is not estimated are 0.
+        it from arming. Variances of what is not estimated are 0. Velocities and rates are in the
+        axes of the heeled boat; ArduPilot turns them back by the quaternion.
         """
         d = self._dialect
-        x, y, psi, u, v, r = state.tolist()
+        x, y, psi, u, v, r = estimate.state.tolist()
+        sd, motion = estimate.sd, estimate.motion
+        velocity, rates = [u, v, 0.0], (0.0, 0.0, r)
+        heave, tilt, off = 0.0, (0.0, 0.0), np.zeros(3)
+        if motion is not None:
+            heave, tilt, off = motion.heave, (motion.roll, motion.pitch), motion.sd[:3]
+            velocity = body_velocity((u, v, motion.vertical_speed), tilt).tolist()
+            turn = float(body_yaw_rate(r, tilt, motion.pitch_rate))
+            rates = motion.roll_rate, motion.pitch_rate, turn
         made = d.MAVLink_odometry_message(
             time_usec=round(1e6 * stamp),
             frame_id=d.MAV_FRAME_LOCAL_FRD,
             child_frame_id=d.MAV_FRAME_BODY_FRD,
             x=x - origin[0],
             y=y - origin[1],
-            z=0.0,
-            q=[math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)],
-            vx=u,
-            vy=v,
-            vz=0.0,
-            rollspeed=0.0,
-            pitchspeed=0.0,
-            yawspeed=r,
-            pose_covariance=_triangle([sd[0], sd[1], 0.0, 0.0, 0.0, sd[2]]),
+            z=heave,
+            q=_quaternion(*tilt, psi),
+            vx=velocity[0],
+            vy=velocity[1],
+            vz=velocity[2],
+            rollspeed=rates[0],
+            pitchspeed=rates[1],
+            yawspeed=rates[2],
+            pose_covariance=_triangle([sd[0], sd[1], off[2], off[0], off[1], sd[2]]),
             velocity_covariance=_triangle([sd[U], sd[V], 0.0, 0.0, 0.0, sd[R]]),
             reset_counter=resets,
             estimator_type=d.MAV_ESTIMATOR_TYPE_GPS_INS,
@@ -512,7 +553,7 @@ class MavlinkWriter:
         if not all(map(math.isnan, (heading, rate, *tilt, *rates))):
             made.append(self.attitude(stamp, heading, rate, tilt, rates))
         force = known["accel_x_mps2"], known["accel_y_mps2"], known["accel_z_mps2"]
-        if not math.isnan(force[2]):
+        if not all(map(math.isnan, force)):
             made.append(self.imu(stamp, force))
         made += self.wind(stamp, known)
         if self.servos is not None:
@@ -535,6 +576,15 @@ def _ms(stamp: float) -> int:
 def _five(values: Array) -> list[float]:
     """Return up to five values, NaN after them."""
     return [*values.tolist(), *[math.nan] * (5 - len(values))]
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> list[float]:
+    """Return the quaternion w, x, y, z of angles, rad, turned by in the order yaw, pitch, roll."""
+    (a, b, c), (d, e, f) = (
+        tuple(turn(0.5 * angle) for angle in (roll, pitch, yaw)) for turn in (math.cos, math.sin)
+    )
+    w, x = a * b * c + d * e * f, d * b * c - a * e * f
+    return [w, x, a * e * c + d * b * f, a * b * f - d * e * c]
 
 
 def _triangle(sd: list[float]) -> list[float]:

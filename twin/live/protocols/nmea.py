@@ -1,10 +1,11 @@
 r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
 
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
-RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers of these names. MWV
-with the reference R is the apparent wind, MWD the true one; an MWV with the reference T is not
-followed. The height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG
-blocks give the time.
+RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers named PTCH or PITCH
+(bow up) and ROLL or HEEL (starboard down). PASHR may be that of Trimble, or ATT, AT2 and HPR of
+Ashtech, of which only those with a fixed ambiguity count. MWV with the reference R is the apparent
+wind, MWD the true one; an MWV with the reference T is not followed. The height of a GGA counts as
+well. GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give the time.
 
 =========  ====================================================================================
 RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
@@ -12,10 +13,10 @@ RSA        rudder angle, degrees, above 0 to starboard; the first is starboard o
 ``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
 =========  ====================================================================================
 
-HDT, ROT, RPM, RSA, XDR, MWV and MWD hold no time. They have that of the sentence before them in the
-same datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
-clock. A TAG block in whole seconds is the time of the first sentence of its kind in that second
-alone.
+HDT, ROT, RPM, RSA, XDR, MWV and MWD hold no time, and ATT and AT2 that of the GPS week. They have
+that of the sentence before them in the same datagram (ZDA, GGA, RMC, a TAG block). Without one, it
+is that of their arrival by the sender's clock. A TAG block in whole seconds is the time of the
+first sentence of its kind in that second alone.
 
 What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is GGA of quality 6
 (estimated), RMC of mode E, HDT, ROT, and for now (0 s) and each of :data:`HORIZONS` ::
@@ -89,6 +90,12 @@ NO_FIX = {0: "none", 6: "estimated"}
 
 NO_MODE = ("N", "E")
 """... and modes of RMC."""
+
+TILTED = {"PTCH": "pitch", "PITCH": "pitch", "ROLL": "roll", "HEEL": "roll"}
+"""How names of transducers begin, and what they measure."""
+
+ASHTECH = ("ATT", "AT2", "HPR")
+"""Kinds of PASHR with pitch before roll."""
 
 SPEED_UNITS = {"M": 1.0, "N": KNOT, "K": 1.0 / 3.6, "S": 0.44704}
 """Units of a wind speed: m/s, knots, km/h, and statute miles an hour."""
@@ -377,23 +384,38 @@ def _tilt(angles: Sequence[float | None]) -> dict[str, float]:
     return values
 
 
-def _ashr(fields: Sequence[str]) -> Message:
-    """Return roll and pitch of a PASHR: name, time, heading, T, roll, pitch, and more."""
-    values = _tilt([_number(fields[4]), _number(fields[5])])
-    return Message("PASHR", _stamp(fields[1]), values, void=not values)
+def _ashr(fields: Sequence[str]) -> Message | str:
+    """Return roll and pitch of a PASHR.
+
+    Name, time, heading, T, roll, pitch, and more. Those of Ashtech: name, kind, time, heading,
+    pitch, roll, two errors, and a flag above 0 where the ambiguity is not fixed.
+    """
+    if not fields[1][:1].isalpha():
+        angles, stamp = (fields[4], fields[5]), _stamp(fields[1])
+    elif fields[1] in ASHTECH:
+        # seconds of the GPS week are ahead of UTC by leap seconds
+        stamp = _stamp(fields[2]) if fields[1] == "HPR" else None
+        fixed = _number(fields[8]) == 0.0
+        angles = (fields[5], fields[4]) if fixed else ("", "")
+    else:
+        return "unknown"
+    values = _tilt(list(map(_number, angles)))
+    return Message("PASHR", stamp, values, void=not values)
 
 
 def _xdr(sentence: Any) -> Message:
     """Return roll and pitch of transducers: type A, angle, D, name; again and again."""
-    found: dict[str, float | None] = {"ROLL": None, "PITCH": None}
+    found: dict[str, float] = {}
     fields = sentence.data
     for kind, value, unit, name in zip(*(fields[j::4] for j in range(4)), strict=False):
-        word = name.upper().replace("PTCH", "PITCH")
-        for wanted in found:
-            if kind == "A" and unit == "D" and wanted in word:
-                found[wanted] = _number(value)
-    values = _tilt([found["ROLL"], found["PITCH"]])
-    return Message("XDR", values=values, void=not values)
+        words = [part for part in TILTED if name.strip().upper().startswith(part)]
+        if kind == "A" and unit == "D" and words and "RATE" not in name.upper():
+            angle = _number(value)
+            if angle is not None:
+                found.setdefault(TILTED[words[0]], angle)
+    values = _tilt([found.get("roll"), found.get("pitch")])
+    # one sentence each is common: then the second is no repetition of the first
+    return Message(" ".join(("XDR", *sorted(found))), values=values, void=not values)
 
 
 def _mwv(sentence: Any) -> Message | str:

@@ -119,12 +119,15 @@ class NmeaWriter:
         heave: float = math.nan,
         sd: Sequence[float] | Array = (),
     ) -> str:
-        """Return heading, roll, pitch and their standard deviations (rad), and heave (m, down)."""
+        """Return heading, roll, pitch and their standard deviations (rad), and heave (m, down).
+
+        Fields of what is NaN are empty.
+        """
         degrees = [math.degrees(value) for value in (heading % (2.0 * math.pi), *tilt)]
         fields = (
             *("SHR", _clock(stamp)),
             *(("", "") if math.isnan(heading) else (f"{degrees[0]:.2f}", "T")),
-            *(f"{value:+.4f}" for value in degrees[1:]),
+            *("" if math.isnan(value) else f"{value:+.4f}" for value in degrees[1:]),
             "" if math.isnan(heave) else f"{-heave:+.2f}",
             *(f"{math.degrees(value):.3f}" for value in sd),
             *[""] * (2 - len(sd)),
@@ -208,7 +211,7 @@ class NmeaWriter:
         if not math.isnan(known["gyro_radps"]):
             lines.append(self.rot(known["gyro_radps"]))
         tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
-        if not any(map(math.isnan, tilt)):
+        if not all(map(math.isnan, tilt)):
             lines.append(self.attitude(stamp, math.nan, tilt))
         lines += self.wind(known)
         left, right, *angles = cmd.tolist()

@@ -25,6 +25,7 @@ from twin.predictors.registry import (
 )
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from twin.sim.oracle import simulator_options
+from usv_gym.design.seaway import warning_of
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import Disturbance, Fault
 from usv_gym.world.realisation import Sea
@@ -114,6 +115,7 @@ class SimulatedSession(Session):
         if predictor_class(setup.predictor).needs_simulator:
             given = simulator_options(setup.predictor, setup.vessel, setup.sea, setup.dof)
         twin = Twin(particulars, setup.predictor, seed=setup.seed, **given)
+        notes = _notes(setup.vessel, setup.sea, setup.dof)
         self.record(False)
         rng, sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
         simulation.reset([0], [rng])
@@ -125,6 +127,7 @@ class SimulatedSession(Session):
         try:
             self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
             self.simulation, self.monitor, self.helm = simulation, TwinMonitor(twin), helm
+            self.notes = notes
             self._sea_rng, self._gust_seed = sea_rng, int(sea_rng.integers(2**32))
             self.steer(autopilot)
             self._mark_restart()
@@ -170,6 +173,8 @@ class SimulatedSession(Session):
         """Put the boat into another sea, or under another wind alone."""
         rng = np.random.default_rng(self._gust_seed) if not waves else self._sea_rng
         self.simulation.change_sea(0, sea, rng, waves=waves)
+        if waves:
+            self.notes = _notes(self.setup.vessel, sea, self.setup.dof)
 
     def _rest(self) -> float:
         return self.simulation.dt / max(self.scale, 1e-3)
@@ -206,7 +211,14 @@ class SimulatedSession(Session):
         sim = self.simulation
         sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
         state = sim.state[0].copy()
-        return self._seen(state, path=self.helm.path, sea=sea, rate=self._rate(self.t))
+        rate = self._rate(self.t)
+        return self._seen(state, path=self.helm.path, sea=sea, rate=rate, notes=self.notes)
+
+
+def _notes(vessel: Vessel, sea: SeaState, dof: int) -> tuple[str, ...]:
+    """Return what a user should know of a vessel in a sea."""
+    found = warning_of(vessel, sea, dof)
+    return () if found is None else (found,)
 
 
 def _on_offer(given: str) -> tuple[str, ...]:

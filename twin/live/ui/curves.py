@@ -23,8 +23,8 @@ __all__ = ["Curves"]
 
 Array = NDArray[np.float64]
 
-HEIGHT, LOW = 150, 126
-"""Heights of a curve, and of one under a selection, pixels: three of a kind fit into 720."""
+HEIGHT, LOW = 150, 120
+"""Heights of a curve, and of one of many, pixels: all of a tab fit into 720."""
 
 SHOWN = 300.0
 """Of a run that goes on for ever, the curves show the last s."""
@@ -41,6 +41,7 @@ class DeckCurve(NamedTuple):
 DECK_CURVES = (
     DeckCurve("roll ahead (deg)", 0, math.radians(1.0)),
     DeckCurve("pitch ahead (deg)", 1, math.radians(1.0)),
+    DeckCurve("heave ahead, down (m)", 2, 1.0),
     DeckCurve("speed of the deck down (m/s)", 3, 1.0),
 )
 
@@ -88,7 +89,7 @@ class Curves:
                     ("estimate", RED, ()),
                     (f"- {SDS:g} sd", RED, (3.0, 3.0)),
                     (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
-                    under_choice=True,
+                    low=True,
                 )
                 self.parameters.append((choice, curve))
         with self.panel.add_tab("Deck"):
@@ -103,6 +104,7 @@ class Curves:
                     ("5 %", RED, (3.0, 3.0)),
                     ("95 %", RED, (3.0, 3.0)),
                     time="time ahead (s)",
+                    low=True,
                 )
                 for drawn in DECK_CURVES
             ]
@@ -142,7 +144,7 @@ class Curves:
             self._draw(curve, seen.t, *interval(seen, column))
 
     def _show_deck(self) -> None:
-        """Draw the forecast of roll, pitch and deck speed, if there is one."""
+        """Draw the forecast of roll, pitch, heave and deck speed, if there is one."""
         now = self.session.snapshot
         motion = None if now is None or now.prediction is None else now.prediction.motion
         self.no_deck.visible = motion is None
@@ -157,7 +159,7 @@ class Curves:
         self,
         title: str,
         *series: tuple[str, Any, tuple[float, ...]],
-        under_choice: bool = False,
+        low: bool = False,
         time: str = "time (s)",
     ) -> Any:
         lines: list[dict[str, Any]] = [{"label": time}]
@@ -172,8 +174,8 @@ class Curves:
             title=title,
             scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
             axes=axes(title, time),
-            legend={"show": len(series) > 1 and not under_choice, "live": False},
-            height=LOW if under_choice else HEIGHT,
+            legend={"show": len(series) > 1 and not low, "live": False},
+            height=LOW if low else HEIGHT,
             padding=(8, 22, 0, 0),
         )
 

@@ -221,8 +221,11 @@ def _take(starts: list[_Start], name: str, message: Any, arrived: float) -> None
         milli = name != "HIGHRES_IMU"
         scale = _GRAVITY * 1e-3 if milli else 1.0
         stamp = message.time_boot_ms * 1e-3 if name == "SCALED_IMU" else message.time_usec * 1e-6
-        force = message.xacc * scale, message.yacc * scale, message.zacc * scale
-        now.add(name, _stamp(stamp, now), force)
+        axes = message.xacc, message.yacc, message.zacc
+        flags = 0b111 if milli else message.fields_updated
+        force = [v * scale if flags & 1 << k else math.nan for k, v in enumerate(axes)]
+        if any(map(math.isfinite, force)):
+            now.add(name, _stamp(stamp, now), tuple(force))
     elif name == "SYSTEM_TIME" and message.time_unix_usec:
         now.add(name, now.boot, (message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3,))
 

@@ -41,6 +41,41 @@ def results():
     }
 
 
+def rolling():
+    """Return the same with roll at 1 s and a quiet deck."""
+    here = {**CELL, "plan": "known"}
+    scores = {"sd": 0.08, "held": 1.5, "crps": 0.02, "coverage90": 0.8}
+    motion = [
+        {**here, "predictor": name, "seed": k, "channel": "roll", "horizon_s": 1.0}
+        | {**scores, "rmse": mae + 0.01 * k, "skill": mae}
+        for name, mae in MAE.items()
+        for k in range(2)
+    ]
+    quiet = [
+        {**here, "predictor": name, "span_s": 2.0, "base_rate": 0.4, "brier": mae}
+        | {"brier_skill": -mae, "auc": None, "auc_now": 0.7}
+        for name, mae in MAE.items()
+    ]
+    return results() | {"motion": motion, "quiet": quiet}
+
+
+def test_csv_has_roll_pitch_heave_and_the_quiet_deck():
+    table = list(csv.DictReader(io.StringIO(csv_text(rolling()))))
+    found = {(row["metric"], row["predictor"]): row for row in table}
+    rmse = found["roll_1s_rmse", "ukf"]
+    assert float(rmse["value"]) == pytest.approx(0.1404 + 0.005)
+    assert float(rmse["median"]) == pytest.approx(0.1404 + 0.005)
+    assert (rmse["unit"], rmse["runs"], rmse["scenario"]) == ("rad", "2", "turn")
+    assert float(found["roll_1s_sd", "ukf"]["value"]) == pytest.approx(0.08)
+    assert found["roll_1s_skill", "ukf"]["best"] == "true"
+    assert found["roll_1s_skill", "persistence"]["best"] == "false"
+    # a larger skill is better, and the sea is nobody's
+    assert found["quiet_2s_brier_skill", "ukf"]["best"] == "true"
+    assert found["quiet_2s_brier_skill", "persistence"]["best"] == "false"
+    assert found["roll_1s_sd", "ukf"]["best"] == "false"
+    assert ("quiet_2s_auc", "ukf") not in found
+
+
 def test_latex_has_intervals_and_the_best_in_bold():
     text = latex_text(results())
     table, recorded = text.split(r"\begin{table}")[1:]

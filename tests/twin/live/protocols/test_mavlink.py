@@ -19,7 +19,7 @@ from twin.channels import (
 )
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.particulars import Particulars
-from usv_kernel.channels import ACCEL_X, ACCEL_Y
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 from usv_kernel.servos import ServoError
 
 common = pytest.importorskip(
@@ -36,6 +36,13 @@ def wire() -> Wire:
 
 def other(message: Any, system: int = 1) -> bytes:
     return bytes(message.pack(common.MAVLink(None, srcSystem=system, srcComponent=1)))
+
+
+def turned(q: Any) -> np.ndarray:
+    """Return the rotation of a quaternion w, x, y, z, from the boat to north, east, down."""
+    w, v = q[0], np.array(q[1:])
+    across = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + 2.0 * w * across + 2.0 * across @ across
 
 
 def servos(micros: int, *widths: int) -> bytes:
@@ -250,6 +257,73 @@ def test_accelerations_in_milli_g_are_read(wire: Wire, kind: str) -> None:
     assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.981, -1.962, -9.81])
 
 
+def highres(flags: int, *parts: float) -> bytes:
+    still = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return other(common.MAVLink_highres_imu_message(7_000_000, *parts, *still, flags))
+
+
+IMU = [ACCEL_X, ACCEL_Y, ACCEL_Z, GYRO_X, GYRO_Y, GYRO]
+PARTS = 0.5, -0.25, -9.75, 0.03, -0.04, 0.1
+
+
+@pytest.mark.parametrize("flags", [0b111111, 0b000011, 0b101101, 0b111000])
+def test_parts_of_an_imu_that_are_not_flagged_are_not_taken(wire: Wire, flags: int) -> None:
+    wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), None), highres(flags, *PARTS))
+    z = wire.take(after=1.0)[0][1]
+    flagged = [value if flags & 1 << bit else np.nan for bit, value in enumerate(PARTS)]
+    assert z[IMU] == pytest.approx(flagged, nan_ok=True)
+
+
+def test_an_imu_with_no_flag_at_all_is_void(wire: Wire) -> None:
+    wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), None), highres(0, *PARTS))
+    assert np.isnan(wire.take(after=1.0)[0][1][IMU]).all()
+    assert wire.balance()["void"] == 1
+
+
+@pytest.mark.parametrize("kind", ["RAW_IMU", "SCALED_IMU"])
+def test_gyros_in_mrad_are_read_where_no_attitude_has_rates(wire: Wire, kind: str) -> None:
+    numbers = (100, -200, -1000, 30, -40, 100, 0, 0, 0)
+    raw = kind == "RAW_IMU"
+    made = common.MAVLink_raw_imu_message if raw else common.MAVLink_scaled_imu_message
+    write = MavlinkWriter()
+    wire.tell(write.position(7.0, (59.5, 10.5), None))
+    wire.tell(other(made(7_000_000 if raw else 7000, *numbers)))
+    z = wire.take(after=1.0)[0][1]
+    assert z[[GYRO_X, GYRO_Y, GYRO]] == pytest.approx([0.03, -0.04, 0.1])
+
+
+def test_rates_of_the_attitude_go_before_gyros_until_they_stop(wire: Wire) -> None:
+    write = MavlinkWriter()
+    for k in range(60):
+        t = 7.0 + 0.1 * k
+        made = common.MAVLink_raw_imu_message(
+            round(1e6 * t) + 9000, 0, 0, -1000, 50, 60, 70, 0, 0, 0
+        )
+        if k < 20:  # without a rate of pitch
+            wire.tell(write.attitude(t, 0.0, 0.2, (0.0, 0.0), (0.1, math.nan)))
+        else:
+            wire.tell(write.position(t, (59.5, 10.5), None))
+        wire.tell(other(made), after=0.1)
+    wire.take(after=1.0)
+    t, z, _ = wire.arrays()
+    early, late = t < 3.5, t > 4.5
+    assert z[early, GYRO][np.isfinite(z[early, GYRO])] == pytest.approx([0.2] * 20)
+    assert np.nanmin(z[late, GYRO]) == np.nanmax(z[late, GYRO]) == pytest.approx(0.07)
+    assert np.nanmax(z[:, GYRO_Y]) == np.nanmin(z[:, GYRO_Y]) == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_missing_acceleration_takes_no_other_one_with_it(wire: Wire, missing: int) -> None:
+    z = np.full(19, np.nan)
+    z[:6], z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] = 0.0, (0.5, -0.25, -9.75)
+    z[(ACCEL_X, ACCEL_Y, ACCEL_Z)[missing]] = np.nan
+    for message in MavlinkWriter(servos=Servos.of(BOAT)).row(7.0, z, np.zeros(4), (59.5, 10.5)):
+        wire.tell(message)
+    back = wire.take(after=1.0)[0][1]
+    at = [ACCEL_X, ACCEL_Y, ACCEL_Z]
+    assert back[at] == pytest.approx(z[at], nan_ok=True, abs=1e-6)
+
+
 def test_a_row_without_roll_and_pitch_says_nothing_of_them(wire: Wire) -> None:
     z = np.full(17, np.nan)
     z[:6] = 0.0
@@ -271,6 +345,24 @@ def test_the_attitude_goes_back_with_its_forecast(wire: Wire) -> None:
     (attitude,) = [one for one in found if one.get_type() == "ATTITUDE"]
     assert (attitude.roll, attitude.pitch) == pytest.approx((0.1, -0.05))
     assert (attitude.rollspeed, attitude.pitchspeed) == pytest.approx((0.01, -0.02))
+    (odometry,) = [one for one in found if one.get_type() == "ODOMETRY"]
+    estimate = with_motion(*estimate_of(0.0))[0]
+    turn = turned(odometry.q)
+    assert np.arctan2(turn[2, 1], turn[2, 2]) == pytest.approx(0.1)
+    assert -np.arcsin(turn[2, 0]) == pytest.approx(-0.05)
+    assert np.arctan2(turn[1, 0], turn[0, 0]) == pytest.approx(0.3)
+    # as AP_VisualOdom_MAV does: what it turns to north, east and down is that of the estimate
+    north, east = wire.feed.place_of(estimate.state)[2:]
+    ahead = turn @ [odometry.vx, odometry.vy, odometry.vz]
+    assert ahead == pytest.approx([north, east, 0.25], abs=1e-6)
+    assert odometry.z == pytest.approx(0.2)
+    # the heading turns by 0.1 rad/s
+    assert (odometry.rollspeed, odometry.pitchspeed) == pytest.approx((0.01, -0.02))
+    q, r = odometry.pitchspeed, odometry.yawspeed
+    assert (q * np.sin(0.1) + r * np.cos(0.1)) / np.cos(-0.05) == pytest.approx(0.1)
+    assert attitude.yawspeed == r
+    spread = odometry.pose_covariance
+    assert [spread[k] for k in (11, 15, 18)] == pytest.approx([1e-4] * 3)
     arrays = {one.name: one.data for one in found if one.get_type() == "DEBUG_FLOAT_ARRAY"}
     rows = np.array(arrays["motion"][:54]).reshape(6, 9)
     assert rows[:, 0] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 5.0])

@@ -224,15 +224,62 @@ def test_wide_intervals_keep_a_sentence_within_the_standard() -> None:
     "body",
     [
         "PASHR,120000.000,090.00,T,-05.000,+02.500,+0.10,0.03,0.03,0.1,1,1",
+        "PASHR,ATT,345600.0000,90.0000,2.5000,-5.0000,0.0024,0.0144,0",
+        "PASHR,AT2,345600.0000,90.0000,2.5000,-5.0000,0.0024,0.0144,0,00,0.667,1.7814",
+        "PASHR,HPR,120000.00,90.0000,2.5000,-5.0000,0.0024,0.0144,0,1,0,0.667",
         "YXXDR,A,-5.0,D,ROLL,A,2.5,D,PTCH,C,20.0,C,AIR",
+        "IIXDR,A,2.5,D,Pitch,A,-5.0,D,Roll",
+        "HCXDR,A,171,D,YAW,A,2.5,D,PITCH,A,-5,D,ROLL,G,367,,MAGX",
+        "IIXDR,A,-5.0,D,HEEL,A,2.5,D,PITCH#1,A,9.0,D,ROLLRATE",
     ],
-    ids=["PASHR", "XDR"],
+    ids=["PASHR", "ATT", "AT2", "HPR", "XDR", "names", "yaw", "heel"],
 )
 def test_roll_and_pitch_are_read(wire: Wire, body: str) -> None:
     wire.tell(line(body))
     z = row(wire)
     assert np.degrees(z[[AHRS_ROLL, AHRS_PITCH]]) == pytest.approx([-5.0, 2.5])
     assert wire.balance()["used"] == 1
+
+
+@pytest.mark.parametrize(
+    ("body", "way"),
+    [
+        ("PASHR,ATT,333631.0000,,,,,,", "void"),
+        # no ambiguity found
+        ("PASHR,ATT,74432.0000,35.3421,0.0000,0.0000,0.0013,19150.0205,1", "void"),
+        ("PASHR,120000.000,,,,,,,,,0,0", "void"),
+        ("PASHR,POS,1,08,120000.00", "unknown"),
+        ("PASHR,MC1,3", "unknown"),
+        ("PASHR,ATT,74432.0000", "broken"),
+    ],
+)
+def test_a_pashr_without_roll_and_pitch_counts_as_what_it_is(
+    wire: Wire, body: str, way: str
+) -> None:
+    wire.tell(line(body))
+    assert wire.balance() == {"received": 1, way: 1}
+
+
+@pytest.mark.parametrize("tag", ["", "c:1709207999000"])
+def test_roll_and_pitch_in_a_sentence_each_are_both_taken(wire: Wire, tag: str) -> None:
+    said = [line(f"IIXDR,A,{v},D,{name}", tag) for v, name in ((2.5, "PTCH"), (-5.0, "ROLL"))]
+    wire.tell(b"".join([line(GGA.replace("120000", "115959")), *said]))
+    z = row(wire)
+    assert np.degrees(z[[AHRS_ROLL, AHRS_PITCH]]) == pytest.approx([-5.0, 2.5])
+    assert wire.balance() == {"received": 3, "used": 3}
+
+
+@pytest.mark.parametrize("missing", [AHRS_ROLL, AHRS_PITCH])
+def test_one_of_roll_and_pitch_is_written_without_the_other(wire: Wire, missing: int) -> None:
+    z, cmd = np.full(19, np.nan), np.zeros(4)
+    z[:6], z[AHRS_ROLL], z[AHRS_PITCH] = 0.0, 0.1, -0.05
+    z[missing] = np.nan
+    lines = NmeaWriter("GP").row(START, z, cmd, (59.5, 10.5))
+    assert not any("nan" in text for text in lines)
+    wire.tell("".join(lines).encode())
+    back = wire.take(after=1.0)[0][1]
+    at = [AHRS_ROLL, AHRS_PITCH]
+    assert back[at] == pytest.approx(z[at], abs=1e-6, nan_ok=True)
 
 
 def test_a_tilt_that_no_boat_has_is_broken(wire: Wire) -> None:

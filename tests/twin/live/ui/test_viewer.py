@@ -27,6 +27,7 @@ from twin.live.protocols.nmea import NmeaFeed
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from twin.motion import CHANNELS
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.vessel.geometry import boat_of
@@ -185,6 +186,32 @@ def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
         ["time (s)", "s"],
         ["time (s)", "1"],
     ]
+
+
+def test_the_deck_has_a_curve_with_its_fan_for_each_channel(browser, served, tmp_path):
+    session = SimulatedSession(setup(predictor="ukf", dof=6), tmp_path, "turn")
+    session.set_scale(10.0)
+    viewer = served(session)
+    driver = opened(browser, viewer)
+    driver.find_element("xpath", "//*[text()='Deck']").click()
+    wait(lambda: session.t > 45.0)
+    wait(lambda: len(boxes(driver, ".uplot")) == len(CHANNELS))
+    session.order(session.set_paused, True)
+    wait(lambda: session.paused)
+    pixels(driver, "deck")
+    shown = boxes(driver, ".uplot")
+    for one, following in itertools.pairwise(shown):
+        assert one["bottom"] <= following["top"]
+    assert shown[-1]["bottom"] <= 720
+    for curve, name in zip(viewer.curves.deck, CHANNELS, strict=True):
+        assert curve.title.startswith(name.split("_")[0]) or name == "deck_speed_mps"
+        ahead, mean, low, high = curve.data
+        assert ahead[0] == 0.0 and ahead[-1] == 10.0
+        assert (low < mean).all() and (mean < high).all() and np.ptp(mean) > 0.0
+        # the fan opens
+        assert high[-1] - low[-1] > high[0] - low[0]
+    assert viewer.curves.deck[2].axes[1]["label"] == "m"
+    assert errors_of(driver) == []
 
 
 def test_a_page_that_is_open_from_the_begin_shows_the_error(browser, served, tmp_path):
