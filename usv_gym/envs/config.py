@@ -15,7 +15,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.sea import SeaKeyframe, SeaState
-from usv_gym.world.sensors import ARM_MAX, SensorSuite
+from usv_gym.world.sensor_suite import ARM_MAX, SensorSuite
 from usv_gym.world.simulation import substeps_of
 from usv_kernel.errors import UsvTwinError, check_number, check_options, check_whole
 

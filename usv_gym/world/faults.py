@@ -371,7 +371,7 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     for part in text.split("+"):
         match = _FAULT.fullmatch(part)
         if not match:
-            raise FaultError(f"fault {text!r} is not understood; write {FAULTS_HELP}")
+            raise FaultError(f"fault {text[:200]!r} is not understood; write {FAULTS_HELP}")
         try:
             faults.append(_fault(match, start))
         except FaultError as error:
