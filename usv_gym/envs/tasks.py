@@ -258,11 +258,16 @@ class Task:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
         return self.records["errors"]
 
-    def reset(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the path of boat i; it starts at the origin, heading north."""
-        self.points[i] = self._path(rng)
+    def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
+        """Draw the path of boat i, which starts at the origin with a heading (rad)."""
+        points = self._path(rng)
+        if heading != 0.0:
+            c, s = math.cos(heading), math.sin(heading)
+            north, east = points.T
+            points = np.stack([c * north - s * east, s * north + c * east], axis=1)
+        self.points[i] = points
         self.records[i] = 0.0
-        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records["errors"][i])
+        path_errors(0.0, 0.0, heading, self.points[i], 0, self.records["errors"][i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         raise TaskError("a task must draw its path")
@@ -381,8 +386,9 @@ class StationKeeping(Task):
 
 def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Return way points (K + 1, 2) in m from the origin, by courses in rad and lengths in m."""
-    legs = lengths[:, None] * np.stack([np.cos(courses), np.sin(courses)], axis=1)
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(legs, axis=0)])
+    points = np.zeros((len(courses) + 1, 2))
+    points[1:, 0], points[1:, 1] = lengths * np.cos(courses), lengths * np.sin(courses)
+    return points.cumsum(axis=0)
 
 
 TASKS: dict[str, type[Task]] = {

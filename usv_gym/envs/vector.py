@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.env import Recorder, names_of, spaces_of
+from usv_gym.envs.env import Recorder, full_size, names_of, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.world.simulation import BOATS_MAX
@@ -63,7 +63,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     -----
     ``reset(seed=7)`` gives element i what ``reset(seed=7 + i)`` gives a single environment; a
     sequence of seeds gives each its own, and None goes on with its generator. Infos are arrays
-    over the boats, with a mask ``_key`` beside each ``key``, as in Gymnasium's own.
+    over the boats, with a mask ``_key`` beside each ``key``, as in Gymnasium's own. That holds for
+    ``info["drawn"]`` as well, in resets and in steps that reset some boats.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's attribute
@@ -110,7 +111,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         if not isinstance(record, bool):
             raise UsvTwinError(f"record = {record!r}: must be True or False")
-        self.recorder = Recorder(self.simulation) if record else None
+        self.recorder = Recorder(self.episodes) if record else None
         callbacks = self.observer, self.renderer, self.recorder
         self._callbacks = tuple(one for one in callbacks if one is not None)
         self.observation_names = names_of(self.episodes, self.observer)
@@ -122,7 +123,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._rngs: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
-        self._obs = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
+        size = full_size(self.episodes, self.observer)
+        self._obs = np.zeros((self.num_envs, size), np.float32)
+        self._selection = self.observer.selection if self.observer else None
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         # steps after which each boat's episode is truncated
         self._limit = (max_episode_steps or math.inf) * self.frame_skip
@@ -215,7 +218,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()
-        return self._obs.copy(), self._infos(mask)
+        return self._shown(), self._infos(mask) | self._drawn(mask)
 
     def _restart(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
@@ -282,21 +285,26 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         truncations = self.episodes.steps >= self._limits
         rewards[late] = 0.0
         over = terminations | truncations
-        infos = self._infos(None)
+        infos = self._infos(None) | self._drawn(late)
         if mode == AutoresetMode.SAME_STEP and over.any():
             final = np.full(self.num_envs, None, dtype=object)
+            shown = self._shown()
             for i in np.flatnonzero(over):
-                final[i] = self._obs[i].copy()
+                final[i] = shown[i].copy()
             ended = self._infos(over)
             self._restart(over)
-            infos = self._infos(None)
+            infos = self._infos(None) | self._drawn(over)
             infos |= {"final_obs": final, "_final_obs": over.copy()}
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
         self._over = over
         if self.renderer:
             self.renderer.look()
-        return self._obs.copy(), rewards, terminations, truncations, infos
+        return self._shown(), rewards, terminations, truncations, infos
+
+    def _shown(self) -> np.ndarray:
+        """Return what the agents see of the observations, as a copy."""
+        return self._selection.pick(self._obs) if self._selection else self._obs.copy()
 
     def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
         """Return a picture of each boat if the mode is ``"rgb_array"``."""
@@ -319,6 +327,13 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos["reward_terms"] = masked(terms, mask, self.num_envs)
         infos["_reward_terms"] = infos["_t_s"]
         return infos
+
+    def _drawn(self, begun: np.ndarray) -> Info:
+        """Return what was drawn of the episodes that begin now; nothing where none does."""
+        if not begun.any():
+            return {}
+        drawn = masked(self.episodes.worlds.drawn, begun, self.num_envs)
+        return {"drawn": drawn, "_drawn": begun.copy()}
 
     def _refuse_closed(self) -> None:
         if self.closed:

@@ -485,7 +485,7 @@ def test_reward_and_twin_have_the_same_deck_point(given):
     env = make_env(**SEAKEEPING, **given)
     envs = make_vector_env(2, **SEAKEEPING, **given)
     for one, twin in ((env, env.twin), (envs, envs.twin(1))):
-        assert one.episodes.deck_point == POINT
+        assert one.episodes.kinds[0].deck_point == POINT
         assert tuple(one.episodes.config["rules"]["deck"]) == POINT
         assert twin.particulars.deck.point == POINT
     alone = [env.reset(seed=3)[0], *(env.step(np.array([0.6, 0.3]))[0] for _ in range(40))]
