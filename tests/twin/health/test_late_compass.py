@@ -33,9 +33,9 @@ def sailed(run: int, latency: float, dof: int) -> Log:
     )
 
 
-def heading_error(log: Log, told: float, dof: int, z: np.ndarray | None = None) -> float:
+def heading_error(log: Log, stated: float, dof: int, z: np.ndarray | None = None) -> float:
     """Return the root mean square of the error of the heading, deg."""
-    boat = particulars_of(VESSEL, SensorSuite(compass_latency=told), dof)
+    boat = particulars_of(VESSEL, SensorSuite(compass_latency=stated), dof)
     twin, found = Twin(boat, "ukf"), []
     for k, (t, row, cmd) in enumerate(log):
         twin.step(t, row if z is None else z[k], cmd)
@@ -45,12 +45,12 @@ def heading_error(log: Log, told: float, dof: int, z: np.ndarray | None = None) 
 
 
 @pytest.mark.parametrize("dof", [3, 6])
-def test_a_compass_whose_latency_is_told_is_as_good_as_one_without(dof: int) -> None:
+def test_a_compass_whose_latency_is_stated_is_as_good_as_one_without(dof: int) -> None:
     prompt = [heading_error(sailed(run, 0.0, dof), 0.0, dof) for run in range(len(RUNS))]
     late = [heading_error(sailed(run, 0.2, dof), 0.2, dof) for run in range(len(RUNS))]
-    untold = [heading_error(sailed(run, 0.2, dof), 0.0, dof) for run in range(len(RUNS))]
+    unknown = [heading_error(sailed(run, 0.2, dof), 0.0, dof) for run in range(len(RUNS))]
     assert np.median(late) < 1.2 * np.median(prompt)
-    assert np.median(untold) > 1.5 * np.median(late)
+    assert np.median(unknown) > 1.5 * np.median(late)
 
 
 def test_a_late_compass_is_bridged_without_a_gyro() -> None:

@@ -69,12 +69,12 @@ def errors(log: Log, of: Particulars, z: np.ndarray | None = None) -> tuple[np.n
 
 
 @pytest.mark.parametrize("latency", [0.1, 0.2])
-def test_an_ahrs_whose_latency_is_told_is_as_good_as_one_without(latency: float) -> None:
+def test_an_ahrs_whose_latency_is_stated_is_as_good_as_one_without(latency: float) -> None:
     prompt = [errors(sailed(run), boat())[0] for run in range(len(RUNS))]
     late = [errors(sailed(run, latency), boat(latency))[0] for run in range(len(RUNS))]
     assert (np.median(late, axis=0) < 1.2 * np.median(prompt, axis=0)).all()
-    untold = [errors(sailed(run, latency), boat())[0] for run in range(len(RUNS))]
-    assert np.mean(untold) > 1.1 * np.mean(late)
+    unknown = [errors(sailed(run, latency), boat())[0] for run in range(len(RUNS))]
+    assert np.mean(unknown) > 1.1 * np.mean(late)
 
 
 def dropped(
