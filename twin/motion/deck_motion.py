@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from twin.channels import PSI, R, U
 from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
-from twin.motion.attitude import is_measured, take_attitude, turn_upright
+from twin.motion.attitude import is_measured, take_attitude
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import (
     CHANNELS,
@@ -39,6 +39,7 @@ from twin.motion.state import (
     attitude_settings,
     initial_attitude,
 )
+from twin.motion.upright import turn_upright
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, MOTION_CHANNELS, SENSOR_CHANNELS
 from usv_kernel.jit import kernel

@@ -45,7 +45,7 @@ def heading_error(log: Log, stated: float, dof: int, z: np.ndarray | None = None
 
 
 @pytest.mark.parametrize("dof", [3, 6])
-def test_a_compass_whose_latency_is_known_is_as_good_as_one_without(dof: int) -> None:
+def test_a_compass_whose_latency_is_stated_is_as_good_as_one_without(dof: int) -> None:
     prompt = [heading_error(sailed(run, 0.0, dof), 0.0, dof) for run in range(len(RUNS))]
     late = [heading_error(sailed(run, 0.2, dof), 0.2, dof) for run in range(len(RUNS))]
     unknown = [heading_error(sailed(run, 0.2, dof), 0.0, dof) for run in range(len(RUNS))]

@@ -69,7 +69,7 @@ def errors(log: Log, of: Particulars, z: np.ndarray | None = None) -> tuple[np.n
 
 
 @pytest.mark.parametrize("latency", [0.1, 0.2])
-def test_an_ahrs_whose_latency_is_known_is_as_good_as_one_without(latency: float) -> None:
+def test_an_ahrs_whose_latency_is_stated_is_as_good_as_one_without(latency: float) -> None:
     prompt = [errors(sailed(run), boat())[0] for run in range(len(RUNS))]
     late = [errors(sailed(run, latency), boat(latency))[0] for run in range(len(RUNS))]
     assert (np.median(late, axis=0) < 1.2 * np.median(prompt, axis=0)).all()

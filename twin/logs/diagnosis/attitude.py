@@ -12,15 +12,25 @@ import numpy.typing as npt
 from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
-from twin.logs.diagnosis.signals import ENOUGH, sampled
+from twin.logs.diagnosis.kinematics import check_kinematics
+from twin.logs.diagnosis.signals import ENOUGH, averaged, integrated, sampled
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y
 from usv_kernel.scalar import rotation
 
-__all__ = ["check_attitude", "upright"]
+__all__ = ["check_attitude", "is_three_axis", "upright"]
 
 _ASKEW = math.radians(6.0)
 """A boat may heel and trim by less in the mean; more is how the IMU is mounted."""
+
+_TRIM = math.radians(3.5)
+"""A boat may trim by less in the mean."""
+
+_APART = math.radians(3.0)
+"""Gravity and an AHRS differ by less in the mean."""
+
+_AROUND = 0.3
+"""A boat whose turn accelerates it by less, m/s2, hardly turns."""
 
 _AXIS = math.radians(50.0)
 """With gravity further off the third axis, another one points down."""
@@ -58,6 +68,10 @@ _DEAD = 10.0
 _STILL = 0.003
 """Rates below, rad/s, and speeds, m/s, tell nothing."""
 
+_SPAN, _TOO_LARGE = 1.0, 50.0
+"""Changes of the vertical speed over such a time (s) that are so many times those of the integrated
+accelerometers are in cm/s, whatever the noise."""
+
 _FORCE = "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"
 
 
@@ -73,7 +87,10 @@ def check_attitude(recording: Recording, particulars: Particulars | None = None)
     """
     found = _dead_axes(recording)
     mounting = (0.0, 0.0, 0.0) if particulars is None else particulars.instruments.imu_mounting
-    found += _check_gravity(recording, rotation(mounting))
+    of_gravity = _check_gravity(recording, rotation(mounting))
+    if found:  # an axis that is dead also turns the mean
+        of_gravity = [finding for finding in of_gravity if finding.code != "imu-askew"]
+    found += of_gravity
     for angle, gyro, other in (
         ("ahrs_roll_rad", "gyro_x_radps", "gyro_y_radps"),
         ("ahrs_pitch_rad", "gyro_y_radps", "gyro_x_radps"),
@@ -82,10 +99,15 @@ def check_attitude(recording: Recording, particulars: Particulars | None = None)
         if not found:  # a wrong unit of the one is no fault of the other
             found += _check_rate(recording, angle, gyro, other)
     if not any(finding.severity == ERROR for finding in found):
-        signs = _check_signs(recording)
-        if signs:  # a wrong sign looks like a mounting
+        level = all(_is_nearly_level(finding) for finding in found)
+        moved = check_kinematics(recording, particulars) if level else []
+        wrong = [finding for finding in moved if finding.severity == ERROR]
+        wrong = wrong or _check_signs(recording)
+        if wrong:  # it looks like a mounting
             found = [finding for finding in found if finding.code != "imu-askew"]
-        found += signs or ([] if found else _check_turned(recording, rotation(mounting)))
+        # an AHRS measures the mounting better
+        askew = [] if found else _check_turned(recording, rotation(mounting)) or moved
+        found += wrong or askew
     return found + _check_height(recording)
 
 
@@ -110,6 +132,12 @@ def upright(recording: Recording) -> Recording:
     z[:, columns[3]] = x * np.cos(pitch) + down * np.sin(pitch)
     z[:, columns[4]] = y * np.cos(roll) - low * np.sin(roll)
     return replace(recording, z=z)
+
+
+def is_three_axis(recording: Recording) -> bool:
+    """Return whether a log has gyros and accelerometers of three axes."""
+    names = ("gyro_x_radps", "gyro_y_radps", "gyro_radps", *_FORCE)
+    return len(recording.samples(*names)[0]) >= 5 * ENOUGH
 
 
 def _dead_axes(recording: Recording) -> list[Finding]:
@@ -168,13 +196,18 @@ def _check_gravity(recording: Recording, mounting: Array) -> list[Finding]:
         what = f"{names}: gravity lies along {axis}: the axes are swapped, or the IMU is turned"
         remedy = "x is forward, y to starboard, z down; exchange the columns, or state imu_mounting"
         return [Finding(ERROR, "accel-swapped", what, remedy, evidence)]
-    if tilt > _ASKEW:
-        roll = math.atan2(-mean[1], -mean[2])
-        pitch = math.asin(min(max(float(mean[0]) / size, -1.0), 1.0))
+    roll = math.atan2(-mean[1], -mean[2])
+    pitch = math.asin(min(max(float(mean[0]) / size, -1.0), 1.0))
+    apart = _apart_from_ahrs(recording, t[straight], force[straight], around[straight])
+    trimmed = apart is None and abs(pitch) > _TRIM
+    if tilt > _ASKEW or trimmed or (apart is not None and apart > _APART):
         what = (
             f"{names}: gravity is {math.degrees(tilt):.0f} degrees off their third axis: the IMU "
             "is mounted askew, or the boat lies so"
         )
+        if apart is not None:
+            what += f"; the AHRS is {math.degrees(apart):.0f} degrees off gravity"
+            evidence["apart_rad"] = apart
         remedy = (
             f"if it is the IMU, state imu_mounting = [{roll:.3f}, {pitch:.3f}, 0.0] in "
             "[instruments] of the particulars"
@@ -182,6 +215,29 @@ def _check_gravity(recording: Recording, mounting: Array) -> list[Finding]:
         evidence |= {"roll_rad": roll, "pitch_rad": pitch}
         return [Finding(WARNING, "imu-askew", what, remedy, evidence)]
     return []
+
+
+def _is_nearly_level(finding: Finding) -> bool:
+    """Return whether a finding is of a mounting that hardly changes which axis shows what."""
+    roll, pitch = (finding.evidence.get(name, math.inf) for name in ("roll_rad", "pitch_rad"))
+    return finding.code == "imu-askew" and math.hypot(roll, pitch) < _ASKEW
+
+
+def _apart_from_ahrs(recording: Recording, t: Array, force: Array, around: Array) -> float | None:
+    """Return by how much gravity and an AHRS differ in the mean where the boat hardly turns, rad.
+
+    None without an AHRS in radians, or where the boat turns all the time.
+    """
+    t_angle, angles = recording.samples("ahrs_roll_rad", "ahrs_pitch_rad")
+    if len(t_angle) < 5 * ENOUGH or float(np.quantile(np.abs(angles), 0.9)) > _STEEP:
+        return None
+    angles = sampled(t_angle, angles, t)
+    ok = (np.abs(around) < _AROUND) & np.isfinite(angles).all(axis=1)
+    if ok.sum() < 5 * ENOUGH:
+        return None
+    mean, angle = np.median(force[ok], axis=0), np.median(angles[ok], axis=0)
+    roll, pitch = math.atan2(-mean[1], -mean[2]), math.atan2(mean[0], math.hypot(mean[1], mean[2]))
+    return math.hypot(roll - angle[0], pitch - angle[1])
 
 
 def _check_angle(recording: Recording, name: str) -> list[Finding]:
@@ -252,13 +308,17 @@ def _check_rate(recording: Recording, angle: str, gyro: str, other: str) -> list
     times, change = _change(t, values[:, 0])
     if float(np.nanstd(change)) < _STILL:
         return []
-    fits = []
-    for name in (gyro, other):
+    fits = {}
+    for name in (gyro, other, "gyro_radps"):
         t_rate, rate = recording.samples(name)
         if len(t_rate) < 5 * ENOUGH or float(rate.std()) < _STILL:
-            return []
-        fits.append(_fit(change, _mean(t_rate, rate[:, 0], times)))
-    own, cross = fits
+            if name != "gyro_radps":
+                return []
+            continue
+        fits[name] = _fit(change, _mean(t_rate, rate[:, 0], times))
+    own = fits.pop(gyro)
+    other = max(fits, key=lambda name: abs(fits[name].correlation))
+    cross = fits[other]
     names, evidence = recording.called(angle, gyro), {"correlation": own.correlation}
     if abs(cross.correlation) > max(_CLEAR, abs(own.correlation) + _BETTER):
         what = f"{recording.called(gyro, other)}: each goes with the angle of the other"
@@ -359,12 +419,37 @@ def _check_height(recording: Recording) -> list[Finding]:
     t_force, force = recording.samples(*_FORCE)
     if len(t) < 5 * ENOUGH or len(t_force) < 5 * ENOUGH or float(speed.std()) < 10.0 * _STILL:
         return []
-    times, change = _change(t, speed[:, 0])
     lift = np.linalg.norm(force, axis=1)
     # an upright boat that is pushed down weighs less
+    times, change = _change(t, speed[:, 0])
+    found = _check_climb_unit(recording, (t, speed[:, 0]), (t_force, lift))
+    if found:
+        return found
     fit = _fit(change, -_mean(t_force, lift - lift.mean(), times))
     if fit.correlation > -_CLEAR:
         return []
     what = f"{recording.called('gps_vz_mps')}: against the accelerometers: it points up"
     remedy = 'it is above 0 downwards; state frame = "enu" or scale = -1.0, also for gps_z_m'
     return [Finding(ERROR, "climb-sign", what, remedy, {"correlation": fit.correlation})]
+
+
+def _check_climb_unit(
+    recording: Recording, climb: tuple[Array, Array], lift: tuple[Array, Array]
+) -> list[Finding]:
+    """Return whether a vertical speed changes far more than the accelerometers allow."""
+    t = climb[0]
+    at = np.arange(t[0] + _SPAN, t[-1] - _SPAN, 0.5 * _SPAN)
+    speed = averaged(*climb, at, _SMOOTH)
+    before = averaged(*climb, at - _SPAN, _SMOOTH)
+    gain = integrated(lift[0], lift[1] - lift[1].mean())
+    gained = sampled(lift[0], gain, at) - sampled(lift[0], gain, at - _SPAN)
+    ok = np.isfinite(speed) & np.isfinite(before) & np.isfinite(gained)
+    if ok.sum() < ENOUGH:
+        return []
+    ratio = float(np.std((speed - before)[ok])) / max(float(np.std(gained[ok])), 1e-9)
+    if ratio < _TOO_LARGE:
+        return []
+    name = recording.called("gps_vz_mps")
+    what = f"{name}: changes {ratio:.0f} times as much as the accelerometers show"
+    remedy = "it is in m/s; state scale = 0.01 in a mapping file if this is cm/s, 0.001 if mm/s"
+    return [Finding(ERROR, "climb-unit", what, remedy, {"ratio": ratio})]

@@ -11,12 +11,12 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import Array
-from twin.logs.diagnosis.attitude import check_attitude, upright
+from twin.logs.diagnosis.attitude import check_attitude, is_three_axis, upright
 from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
-from twin.logs.diagnosis.imu import ImuFit, check_imu, imu_on_fixes
+from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
 from twin.logs.diagnosis.position import (
     StampFit,
     VelocityFit,
@@ -193,7 +193,11 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
         measured = measure(level)
         found += check_position(recording) + check_heading(level) + tilt
-        found += check_imu(measured.imu, level, particulars)
+        moved = check_imu(measured.imu, level, particulars)
+        if level is clean and is_three_axis(clean):
+            # the accelerometers of a boat that rolls also show its tilt
+            moved = [finding for finding in moved if finding.code not in TILTED]
+        found += moved
         found += check_commands(clean, particulars) + check_forces(clean)
     first: dict[str, Finding] = {}
     for finding in found:

@@ -13,6 +13,7 @@ from twin.logs.diagnosis.signals import ENOUGH, Lag, averaged, best_lag, integra
 from twin.particulars import Particulars
 
 __all__ = [
+    "TILTED",
     "ImuFit",
     "check_imu",
     "imu_on_fixes",
@@ -43,6 +44,9 @@ _LATE = 0.3
 """A delay of the fixes worth a word beyond what the particulars state, s."""
 
 _GRAVITY = 9.80665
+
+TILTED = ("accel-axes", "accel-mirrored")
+"""Findings that roll and pitch can feign where nothing takes them out."""
 
 
 class ImuFit(NamedTuple):
