@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,8 +116,11 @@ class EnvConfig:
         Texts are such as ``"gps10"`` (10 s without GPS, beginning at random between 10 and 60 s) or
         ``"gps10@30+imu-spikes-random"``, see :func:`usv_gym.world.faults.parse_faults`. Of several
         texts, as in ``"none|gps10|gps30"``, each episode draws one.
-    task : str
-        One of :data:`usv_gym.envs.tasks.TASKS`.
+    task : str or type
+        One of :data:`usv_gym.envs.tasks.TASKS`, ``module:Class`` of a task of your own, or its
+        class: see :class:`usv_gym.envs.tasks.Task`.
+    reward_weights : mapping of str to float, optional
+        Factors of parts of the reward, such as ``{"cross_track": 3.0}``; others have 1.
     motion_penalty : float, optional
         Weight of the reward's term ``motion``, with ``dof=6``: minus the square of the roll over 10
         degrees, and that of the vertical acceleration of the deck point over 2 m/s2. Left out, it
@@ -149,7 +152,8 @@ class EnvConfig:
     load: float | Sequence[float] = 1.0
     suite: SensorSuite | str | None = None
     faults: str | Sequence[Disturbance] = "none"
-    task: str = "path"
+    task: str | type = "path"
+    reward_weights: Mapping[str, float] | None = None
     motion_penalty: float | None = None
     deck_point: tuple[float, float, float] | None = None
     actions: str = "common"
@@ -171,6 +175,10 @@ class EnvConfig:
         if self.deck_point is not None:
             _check_point(self.deck_point)
             object.__setattr__(self, "deck_point", tuple(map(float, self.deck_point)))
+        if not isinstance(self.reward_weights, Mapping | None):
+            raise UsvTwinError(
+                f"reward_weights = {self.reward_weights!r}: must be a dict of terms and numbers"
+            )
         substeps_of(self.dt, self.dt_physics)
 
     def wind_span(self) -> Span | None:

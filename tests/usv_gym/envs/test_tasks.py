@@ -22,7 +22,8 @@ from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, log_of, make_env, make_vector_env
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
-from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
+from usv_gym.envs.scoring import FAILURE, TaskError
+from usv_gym.envs.tasks import TASKS, make_task
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Fault, FaultWarning
