@@ -237,7 +237,7 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
 
 @inlined
 def _turned_until(t, health):
-    """Return the integral of the yaw rate at a past time, from the rows that are kept."""
+    """Return the integral of the yaw rate at a past time, from the samples that are kept."""
     newest, kept = int(health.turn_rows) - 1, min(int(health.turn_rows), TURN_RING)
     back = 0
     while back < kept - 1 and health.turn_ring[(newest - back) % TURN_RING, 0] > t:
@@ -261,9 +261,12 @@ def turn_to_now(dt, out, new_compass, health, given):
     rate = out[GYRO] - health.gyro_bias if math.isfinite(out[GYRO]) else health.compass_rate
     health.turned += 0.5 * (rate + health.turn_rate) * dt
     health.turn_rate = rate
-    row = health.turn_ring[int(health.turn_rows) % TURN_RING]
-    row[0], row[1] = health.clock, health.turned
-    health.turn_rows += 1.0
+    rows = int(health.turn_rows)
+    before = health.turn_ring[(rows - 1) % TURN_RING, 0] if rows > 0 else -math.inf
+    if health.clock - before >= late / (TURN_RING - 4):
+        row = health.turn_ring[rows % TURN_RING]
+        row[0], row[1] = health.clock, health.turned
+        health.turn_rows += 1.0
     # a value that repeats itself must stay one that does
     if new_compass:
         health.turn_late = health.turned - _turned_until(health.clock - late, health)

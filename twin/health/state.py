@@ -133,8 +133,9 @@ FILTER = np.dtype(
 )
 """The filters of yaw and surge by one hypothesis; see ``twin.health.drive_filters``."""
 
-TURN_RING = 64
-"""Rows that are kept for a compass that comes late."""
+TURN_RING = 16
+"""Samples of the turn that are kept for a compass that comes late; they reach back further than it
+is late by."""
 
 HEALTH = np.dtype(
     [
@@ -145,8 +146,8 @@ HEALTH = np.dtype(
         # heading: compass against gyro and course
         ("turned", "f8"),  # integral of the yaw rate, for a compass that is late, rad
         ("turn_rate", "f8"),  # yaw rate of the row before, rad/s
-        ("turn_rows", "f8"),  # rows in the ring so far
-        ("turn_ring", "f8", (TURN_RING, 2)),  # time and that integral of past rows
+        ("turn_rows", "f8"),  # samples in the ring so far
+        ("turn_ring", "f8", (TURN_RING, 2)),  # time and that integral, now and then
         ("turn_late", "f8"),  # what the boat turned since the last heading was measured, rad
         ("gyro_turn", "f8"),  # integral of the gyro since the last compass sample, rad
         ("gyro_time", "f8"),  # time since then, s

@@ -346,7 +346,7 @@ def memory_per_boat(twin: str | None) -> float:
 
 MEMORY: dict[str, tuple[str | None, float | None]] = {
     f"memory of a boat in a batch of {BOATS}": (None, None),
-    f"memory of a boat with ukf in a batch of {BOATS}": ("ukf", 70e3),
+    f"memory of a boat with ukf in a batch of {BOATS}": ("ukf", 75e3),
 }
 """The twin of each batch, and the limit on the memory of a boat, byte."""
 

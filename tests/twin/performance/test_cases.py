@@ -199,4 +199,4 @@ def test_a_bend_is_found():
 def test_memory_of_a_boat_is_within_bounds(twin, limit):
     boats = cases.make_boats(twin, cases.BOATS)
     arrays = boats.simulation.boats.nbytes / cases.BOATS
-    assert arrays < cases.memory_per_boat(twin) < (limit or 70e3)
+    assert arrays < cases.memory_per_boat(twin) < (limit or 75e3)
