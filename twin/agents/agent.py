@@ -62,6 +62,12 @@ def check_actions(name: str, envs: USVVectorEnv) -> None:
             f"{name} gives a shaft speed and an angle, these boats take {width} numbers; make "
             "them with actions='common'"
         )
+    if len(envs.episodes.kinds) > 1:
+        names = ", ".join(kind.vessel.name for kind in envs.episodes.kinds)
+        raise ControllerError(
+            f"{name} is tuned by the particulars of one vessel, these boats are of several "
+            f"({names}); name one vessel, or steer by a policy"
+        )
 
 
 def shaft_speeds(vessel: Vessel) -> tuple[float, float]:

@@ -87,7 +87,7 @@ __all__ = [
     "TWIN_OBSERVATION",
     "TWIN_SETS",
     "TwinObserver",
-    "observer_of",
+    "twins_of",
 ]
 
 Array = NDArray[np.float64]
@@ -109,14 +109,16 @@ class TwinObserver(Observer):
     ``"twin_params"`` adds the parameters of the identified model and their standard deviations,
     both in units of the standard deviations that they had at the start; ``"twin_health"`` adds how
     far each sensor is trusted, and ``"twin_attitude"`` roll, pitch and heave, with six degrees of
-    freedom. ``forecast_scores`` grades the forecasts.
+    freedom. ``forecast_scores`` grades the forecasts. ``kind`` is the place of their vessel among
+    the kinds of the episodes.
     """
 
     def __init__(
         self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True,
+        forecast_scores: bool = True, kind: int = 0,
     ) -> None:  # fmt: skip
         self.episodes, self.first, self.band_period = episodes, twin, band_period
+        self.kind = kind
         # longer rows than those of the plans would be no test of them
         self._grading = forecast_scores and episodes.simulation.dt <= LONGEST_STEP
         more = grades_size(*self._model_size(twin)) if self._grading else 0
@@ -195,6 +197,10 @@ class TwinObserver(Observer):
             self.motions[i] = self._blank_motion
         self._forget(i)
 
+    def leave(self, i: int) -> None:
+        """Let boat i begin an episode as a boat of another kind: its rows are not taken."""
+        self._notes[i, :1] = self.notes["shown"][i] = math.inf
+
     def overlay(self, i: int) -> TwinOverlay | None:
         """Return the twin of boat i for pictures; None before its first row."""
         note = self.notes[i]
@@ -267,9 +273,9 @@ class SeparateTwins(TwinObserver):
 
     def __init__(
         self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True,
+        forecast_scores: bool = True, kind: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(episodes, twin, band_period, observation, forecast_scores)
+        super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
         self._waiting: list[deque[Forecaster]] = [deque() for _ in range(episodes.n)]
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         for note, one in zip(self._notes, self.twins, strict=True):
@@ -303,7 +309,7 @@ class SeparateTwins(TwinObserver):
         doubted = twin.monitor.commands_doubted
         start = twin.predictor.predict(self._plan[:1], LONG_STEP).start.astype(np.float64)
         keep_forecast_flat(
-            sim.rows[i], self.episodes.shared, note, start, doubted, self.band_period
+            sim.rows[i], self.episodes.shared[self.kind], note, start, doubted, self.band_period
         )
         self._waiting[i].append(twin.predictor.forecaster(doubted))
 
@@ -363,9 +369,9 @@ class CompiledTwins(TwinObserver):
 
     def __init__(
         self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True,
+        forecast_scores: bool = True, kind: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(episodes, twin, band_period, observation, forecast_scores)
+        super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
         if self._single:
@@ -458,7 +464,7 @@ class CompiledTwins(TwinObserver):
             sim.rows[rows],
             task.points[rows],
             self._notes[rows],
-            self.episodes.shared,
+            self.episodes.shared[self.kind],
             self._settings,
             self.motions[rows],
             self.first.motion.settings,
@@ -517,7 +523,7 @@ class CompiledPlusTwins(CompiledTwins):
         observe_plus(*arguments)
 
 
-def observer_of(
+def twins_of(
     episodes: Episodes,
     twin: str | Predictor,
     particulars: Particulars | None,
@@ -525,8 +531,8 @@ def observer_of(
     seed: int,
     observation: str = "twin",
     forecast_scores: bool = True,
-) -> TwinObserver:
-    """Return the twins of n boats.
+) -> tuple[TwinObserver, ...]:
+    """Return the twins of n boats, for each kind of boat.
 
     ``twin`` is a name in ``twin.PREDICTORS``, or a predictor, of which many boats get copies;
     ``particulars`` are those of the vessel if left out. Others: see :class:`TwinObserver`.
@@ -535,15 +541,26 @@ def observer_of(
         raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(TWIN_SETS)}")
     if not (math.isfinite(band_period) and band_period >= 0.0):
         raise PredictorError(f"band_period = {band_period} must be finite and 0 or more")
-    sim, options = episodes.simulation, {}
-    if not isinstance(twin, Predictor):
-        if len(episodes.seas) > 1 and predictor_class(twin).needs_simulator:
-            raise PredictorError(f"{twin} is given the sea: name one, not {len(episodes.seas)}")
-        options = simulator_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
-    particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
-    first = Twin(particulars, twin, seed=seed, **options)
-    kind = _COMPILED.get(type(first.predictor), SeparateTwins)
-    return kind(episodes, first, band_period, observation, forecast_scores)
+    sim, options, found = episodes.simulation, {}, []
+    if len(episodes.kinds) > 1 and (particulars is not None or isinstance(twin, Predictor)):
+        raise PredictorError(
+            "particulars and a predictor are those of one vessel; with several, leave out the "
+            "particulars and name the predictor"
+        )
+    for number, vessel in enumerate(kind.vessel for kind in episodes.kinds):
+        if not isinstance(twin, Predictor):
+            needs = predictor_class(twin).needs_simulator
+            if needs and (len(episodes.seas) > 1 or episodes.worlds.active):
+                raise PredictorError(
+                    f"{twin} is given the sea and the boat: name one of each, not "
+                    f"{len(episodes.seas)} seas, or what differs from episode to episode"
+                )
+            options = simulator_options(twin, vessel, episodes.seas[0], sim.dof)
+        given = particulars or particulars_of(vessel, sim.suite, sim.dof)
+        first = Twin(given, twin, seed=seed, **options)
+        make = _COMPILED.get(type(first.predictor), SeparateTwins)
+        found.append(make(episodes, first, band_period, observation, forecast_scores, number))
+    return tuple(found)
 
 
 _COMPILED: dict[type[Predictor], type[TwinObserver]] = {

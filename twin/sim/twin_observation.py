@@ -249,10 +249,10 @@ def _spread(cov, heading, length, speed, out, at):
 def _next_row(boat, note):
     """Write a boat's measurements to its note; return the time since the row before, or -1.
 
-    -1 stands for no new row: the boat is idle.
+    -1 stands for no new row: the boat is idle, or this twin is of another kind (infinite time).
     """
     t, last = boat.t, note.last
-    if t == last:
+    if t == last or last == math.inf:
         return -1.0
     if not math.isfinite(last):
         note.begun = t

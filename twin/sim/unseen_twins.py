@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
 from twin.sim.batched_twins import TwinObserver
+from twin.sim.mixed_twins import MixedTwins
 from usv_gym.envs.episodes import Episodes, Observer
 
 __all__ = ["UnseenTwins"]
@@ -26,7 +27,7 @@ class UnseenTwins(Observer):
     make : callable, optional
         Makes the observer whose entries the agent sees, see
         :data:`usv_gym.envs.observation.OBSERVERS`.
-    twins : TwinObserver
+    twins : TwinObserver or MixedTwins
         The twins of the boats.
     """
 
@@ -34,7 +35,7 @@ class UnseenTwins(Observer):
         self,
         episodes: Episodes,
         make: Callable[[Episodes], Observer] | None,
-        twins: TwinObserver,
+        twins: TwinObserver | MixedTwins,
     ) -> None:
         self.shown = make(episodes) if make else None
         self.twins = twins

@@ -16,8 +16,9 @@ from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
-from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
+from twin.sim.batched_twins import TWIN_SETS, TwinObserver
 from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
+from twin.sim.mixed_twins import MixedTwins, observer_of
 from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
@@ -142,13 +143,17 @@ class TwinObservation(
         self._observer = observer_of(
             base.episodes, twin, particulars, band_period, seed, observation, forecast_scores
         )
-        self.twin = self._observer.first
         self.observation_space = spaces_of(
             0, len(base.episodes.observation) + len(self._observer.names)
         )[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True
+
+    @property
+    def twin(self) -> Twin:
+        """The twin of this episode."""
+        return self._observer.first
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -204,8 +209,12 @@ class USVTwinEnv(USVEnv):
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
         super().__init__(observer=watch, **kwargs)
-        assert isinstance(self.observer, (TwinObserver, UnseenTwins))
-        self.twin = self.observer.first
+
+    @property
+    def twin(self) -> Twin:
+        """The twin of this episode."""
+        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
+        return self.observer.first
 
 
 class USVTwinVectorEnv(USVVectorEnv):
@@ -241,7 +250,7 @@ class USVTwinVectorEnv(USVVectorEnv):
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        assert isinstance(self.observer, (TwinObserver, UnseenTwins))
+        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
         return self.observer.twin(operator.index(i))
 
 
@@ -422,6 +431,8 @@ def log_of(
     if not rows:
         raise UsvTwinError(f"no episode of boat {boat} has ended yet; leave out ended=True")
     assert isinstance(base, (USVEnv, USVVectorEnv))
+    kinds = recorder.ended_kinds if ended else recorder.kinds
+    vessel = base.episodes.kinds[kinds[boat]].vessel
     log = Log(
         t=np.array([row.t for row in rows]),
         cmd=np.array([row.cmd for row in rows]),
@@ -432,10 +443,10 @@ def log_of(
             if base.simulation.dof == 6
             else None
         ),
-        name=f"{base.vessel.name}_episode",
+        name=f"{vessel.name}_episode",
     )
     if path is not None:
         log.write(path)
-        particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
+        particulars = particulars_of(vessel, base.simulation.suite, base.simulation.dof)
         write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
     return log

@@ -13,7 +13,6 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.tasks import N_TERMS, TASK
-from usv_gym.world.simulation import Simulation
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
 
@@ -49,17 +48,23 @@ class Recorder:
         Those of the episode that each boat is in.
     ended : list of list of Recorded
         Those of the one before, until the next ends.
+    kinds, ended_kinds : list of int
+        Place of the vessel in these, among the kinds of the episodes.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self.simulation = simulation
+    def __init__(self, episodes: Episodes) -> None:
+        self.simulation = simulation = episodes.simulation
+        self._numbers = episodes.records["kind"]
+        self.kinds = [0] * episodes.n
+        self.ended_kinds = [0] * episodes.n
         self.rows: list[list[Recorded]] = [[] for _ in simulation.t]
         self.ended: list[list[Recorded]] = [[] for _ in simulation.t]
 
     def reset(self, i: int) -> None:
         """Begin the log of boat i with the row of this moment."""
         if self.rows[i]:
-            self.ended[i] = self.rows[i]
+            self.ended[i], self.ended_kinds[i] = self.rows[i], self.kinds[i]
+        self.kinds[i] = int(self._numbers[i])
         self.rows[i] = []
         self._add([i])
 
@@ -152,9 +157,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     It comes from the truth, as ``info["cross_track_m"]`` does; the observation's path errors
     come from what is known on board.
 
+    What was drawn
+    --------------
+    ``info["drawn"]`` of a reset has what the episode was given: ``vessel`` (its name),
+    ``vessel_factors`` (see :class:`usv_gym.vessel.variation.Factors`), ``load``,
+    ``hs_m``, ``wind_mps``, ``wind_from_deg``, ``current_mps``, ``current_to_deg``, ``heading_deg``
+    and ``faults`` (a text). No observation shows it.
+
     Start and end
     -------------
-    Straight ahead to the north at the speed of ``shaft_speed_manoeuvring``. The task ends
+    Straight ahead, to the north but for ``heading_deg``, at the speed of
+    ``shaft_speed_manoeuvring``. The task ends
     the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0``
     truncates it after 2400 decisions (120 s with ``frame_skip=1``), see ``max_episode_steps`` of
     ``gym.make``.
@@ -210,11 +223,12 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._action = self.episodes.actions[1, 0]
         self._progress = self.episodes.memory[0, : record_size(TASK)]
         self._time = self.simulation.t
+        self._drawn = self.episodes.worlds.drawn
         self._started = False
         self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        self.recorder = Recorder(self.simulation) if record else None
+        self.recorder = Recorder(self.episodes) if record else None
         callbacks = self.observer, self.renderer, self.recorder
         self._callbacks = tuple(one for one in callbacks if one is not None)
 
@@ -247,7 +261,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if self.recorder:
             self.recorder.reset(0)
         self._show()
-        return obs[0], self._info(self._progress.tolist())
+        info = self._info(self._progress.tolist())
+        info["drawn"] = {key: values.item(0) for key, values in self._drawn.items()}
+        return obs[0], info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail for one decision; see :meth:`gymnasium.Env.step`.

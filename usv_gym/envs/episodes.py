@@ -7,7 +7,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,25 +22,19 @@ from usv_gym.envs.tasks import (
     RULES,
     TASK,
     TO_GO,
+    Task,
     TaskError,
     follow,
     make_task,
     score_step,
 )
+from usv_gym.envs.worlds import Worlds, check_tables, faults_of, vessels_of
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
+from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import (
-    CHANNELS,
-    Disturbance,
-    FaultError,
-    FaultWarning,
-    fault_records,
-    ineffective_fault,
-    parse_faults,
-)
-from usv_gym.world.sea import choice
-from usv_gym.world.sensors import WIND_AT, SensorSuite
+from usv_gym.world.faults import CHANNELS
+from usv_gym.world.sensors import WIND_AT
 from usv_gym.world.simulation import (
     DONE,
     NO_NUMBERS,
@@ -122,9 +116,6 @@ WIND_SCALE = 10.0
 
 _GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, WIND_AT - 2
 
-FAULT_START = (10.0, 60.0)
-"""A fault given by its name begins at random between these times, s."""
-
 EPISODE = np.dtype(
     [
         ("task", TASK),
@@ -132,6 +123,7 @@ EPISODE = np.dtype(
         ("age", float, 5),  # s, of the last sample of GPS, compass, IMU, AHRS, anemometer
         ("known_errors", float, len(ERRORS)),  # errors of the task as known on board
         ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode
+        ("kind", float),  # place of the vessel among those of which one is drawn
     ]
 )
 """State of one episode besides that of the boat."""
@@ -147,7 +139,7 @@ EPISODES = np.dtype(
         ("mixing", float, (COMMAND_SIZE, COMMAND_SIZE)),  # share of each action in each command
     ]
 )
-"""What all episodes share, and never changes."""
+"""What all episodes of boats of one kind share, and never changes."""
 
 _ALL = slice(None)
 
@@ -248,12 +240,11 @@ def _step(
 ) -> int:
     """Take one step of every boat that is not idle; unless it returns DONE, nothing was done.
 
-    ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES.
-    ``actions`` (2, n, A) holds the action of the last step, and this one. ``left`` is how many
-    steps of this decision follow.
+    ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES, one
+    row for each kind of boat. ``actions`` (2, n, A) holds the action of the last step, and this
+    one. ``left`` is how many steps of this decision follow.
     """
-    config = as_record(shared, EPISODES)
-    first = left + 1 == int(config.frames)
+    first = left + 1 == int(as_record(shared[0], EPISODES).frames)
     width = actions.shape[2]
     for i in range(rows.shape[0]):
         idle = as_record(episodes[i], EPISODE).idle_steps
@@ -268,6 +259,7 @@ def _step(
         if episode.idle_steps > 0.0:
             episode.idle_steps -= 1.0
             continue
+        config = as_record(shared[int(episode.kind)], EPISODES)
         boat, before, action = as_record(rows[i], BOAT), actions[0, i], actions[1, i]
         for j in range(width):
             action[j] = min(max(action[j], -1.0), 1.0)
@@ -296,7 +288,7 @@ def _observe(
 ) -> None:
     """Write the observation of one boat, from flat memory."""
     boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
-    observe(boat, memory, points, as_record(shared, EPISODES), obs)
+    observe(boat, memory, points, as_record(shared[int(memory.kind)], EPISODES), obs)
 
 
 class StepCallback(Protocol):
@@ -340,6 +332,22 @@ class Observer(ABC):
         return {}
 
 
+class Kind(NamedTuple):
+    """What all episodes of one vessel have in common."""
+
+    vessel: Vessel
+    speed: float
+    """Nominal speed, m/s."""
+    task: Task
+    nominal_action: NDArray[np.float64]
+    """The action that holds the nominal speed, straight ahead; episodes begin with it."""
+
+
+def _mixing(vessel: Vessel, config: EnvConfig) -> NDArray[np.float64]:
+    """Return commands (4, A) per full action."""
+    return vessel.mixing if config.actions == "common" else vessel.actuators
+
+
 class Episodes:
     """n boats of one kind, each in an episode of its own.
 
@@ -356,24 +364,23 @@ class Episodes:
     ----------
     simulation : Simulation
         The simulator.
-    task : Task
-        What is asked of the boats.
-    speed : float
-        Nominal speed, m/s.
     width : int
         Numbers in an action.
     observation : tuple of str
         Names of the sensors' entries in an observation.
     records : ndarray of EPISODE, shape (n,)
         What lasts of each episode.
-    config, shared : record of EPISODES, ndarray
-        What kernels read of the options, and the same as flat memory.
+    vessel, speed, task, nominal_action, config
+        Those of the first kind of boat; ``kinds`` and ``configs`` have all.
+    shared : ndarray
+        What kernels read of the options: flat memory, a row for each kind of boat.
     """
 
     def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
         check_whole("num_threads", threads, 1, THREADS_MAX)
-        self.vessel, self.seas = Vessel.load(config.vessel), config.seas()
-        given, most = _faults(config)
+        vessels, self.seas = vessels_of(config), config.seas()
+        self.vessel = vessels[0]
+        given, most = faults_of(config)
         self.simulation = Simulation(
             n,
             self.vessel,
@@ -385,42 +392,37 @@ class Episodes:
             dt=config.dt,
             dt_physics=config.dt_physics,
         )
-        if config.dof == 6:
-            for sea in self.seas:
-                if (found := warning_of(self.vessel, sea)) is not None:
+        check_tables(vessels, config.dof)
+        for vessel in vessels:
+            check_motion(vessel, config.dof, config.dt_physics)
+            for sea in self.seas if config.dof == 6 else ():
+                if (found := warning_of(vessel, sea)) is not None:
                     warnings.warn(found, CapsizeWarning, stacklevel=2)
-        limits = self.vessel.values
+        self.worlds = Worlds(n, config, vessels)
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
-        n_manoeuvring, n_max = limits["shaft_speed_manoeuvring"], limits["shaft_speed_service"]
-        self.speed = self.vessel.straight_speed(n_manoeuvring)
-        length, motion = limits["length_waterline"], config.motion_penalty
-        self.task = make_task(config.task, n, self.speed, length, motion)
-        if config.dof != 6 and self.task.rules["motion"] > 0.0:
-            what = f"task = {config.task!r}" if motion is None else f"motion_penalty = {motion}"
-            raise TaskError(f"{what}: a boat with dof=3 does not roll; use dof=6")
         self.memory = np.zeros((n, record_size(EPISODE)))
         """State of each episode, as kernels take it."""
         self.records = structured(self.memory, EPISODE)
-        self.task.records = self.records["task"]
-        common = config.actions == "common"
-        mixing = self.vessel.mixing if common else self.vessel.actuators
-        self.width = mixing.shape[1]
-        shared = np.zeros(1, EPISODES)
-        self.config, self.shared = shared[0], shared.view(float)
-        self.config["simulation"], self.config["rules"] = self.simulation.config, self.task.rules
-        self.config["frames"] = self.frame_skip
         self.observation = OBSERVATION + (MOTION_OBSERVATION if config.dof == 6 else ())
-        if self.simulation.suite.has_anemometer:
-            self.config["wind_at"] = len(self.observation)
-            self.observation += WIND_OBSERVATION
-        self.config["entries"] = len(self.observation)
-        self.config["scale"] = scale = np.array([n_max, n_max, *2 * (self.vessel.helm_max,)])
-        self.config["mixing"][:, : self.width] = mixing
-        self.nominal_action = np.linalg.pinv(mixing) @ (
-            np.array([n_manoeuvring, n_manoeuvring, 0.0, 0.0]) / scale
-        )
-        """The action that holds the nominal speed, straight ahead; episodes begin with it."""
+        wind_at = len(self.observation) if self.simulation.suite.has_anemometer else 0
+        self.observation += WIND_OBSERVATION if wind_at else ()
+        self.configs = np.zeros(len(vessels), EPISODES)
+        """What kernels read of the options, for each kind of boat."""
+        self.shared = self.configs.view(float).reshape(len(vessels), -1)
+        self.kinds = [self._kind(vessel, config) for vessel in vessels]
+        """What differs between the vessels of which an episode draws one."""
+        self.speed, self.task, self.nominal_action = self.kinds[0][1:]
+        self.width = len(self.nominal_action)
+        for row, kind in zip(self.configs, self.kinds, strict=True):
+            kind.task.records, kind.task.points = self.records["task"], self.task.points
+            v, mixing = kind.vessel.values, _mixing(kind.vessel, config)
+            row["simulation"], row["rules"] = self.simulation.config, kind.task.rules
+            row["frames"], row["wind_at"] = self.frame_skip, wind_at
+            row["entries"], row["mixing"][:, : self.width] = len(self.observation), mixing
+            n_max = v["shaft_speed_service"]
+            row["scale"] = n_max, n_max, *2 * (kind.vessel.helm_max,)
+        self.config = self.configs[0]
         self.actions = np.zeros((2, n, self.width))
         """Those of the last step, and of this one."""
         self.blocks = parts_of(n, self.simulation.substeps, threads)
@@ -438,6 +440,19 @@ class Episodes:
             for block in self.blocks
         ]
         self._pool = ThreadPoolExecutor(threads) if min(threads, n) > 1 else None
+
+    def _kind(self, vessel: Vessel, config: EnvConfig) -> Kind:
+        """Return what is particular to a vessel."""
+        v, motion = vessel.values, config.motion_penalty
+        n_manoeuvring, n_max = v["shaft_speed_manoeuvring"], v["shaft_speed_service"]
+        speed = vessel.straight_speed(n_manoeuvring)
+        task = make_task(config.task, self.n, speed, v["length_waterline"], motion)
+        if config.dof != 6 and task.rules["motion"] > 0.0:
+            what = f"task = {config.task!r}" if motion is None else f"motion_penalty = {motion}"
+            raise TaskError(f"{what}: a boat with dof=3 does not roll; use dof=6")
+        share = n_manoeuvring / n_max
+        nominal = np.linalg.pinv(_mixing(vessel, config)) @ np.array([share, share, 0.0, 0.0])
+        return Kind(vessel, speed, task, nominal)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Refuse to be copied: a copy's arrays would no longer be those that kernels write to."""
@@ -463,11 +478,18 @@ class Episodes:
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
-        for_simulation, for_task = rng.spawn(2)
-        self.simulation.reset([i], [for_simulation])
+        # a last child for what differs between episodes: without any, nothing else is drawn
+        for_simulation, for_task, *others = rng.spawn(2 + self.worlds.active)
+        draw = self.worlds.draw(others[0]) if others else None
+        worlds = [draw.world] if draw else None
+        self.simulation.reset([i], [for_simulation], worlds=worlds)
+        self.worlds.note(i, draw, self.simulation)
         self.records[i] = 0.0
-        self.task.reset(i, for_task)
-        self.actions[:, i] = self.nominal_action
+        number = draw.kind if draw else 0
+        kind = self.kinds[number]
+        kind.task.reset(i, for_task, draw.world.heading if draw else 0.0)
+        self.records[i]["kind"] = number
+        self.actions[:, i] = kind.nominal_action
         _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
 
     def step(self, obs: np.ndarray, callbacks: Sequence[StepCallback] = ()) -> bool:
@@ -529,36 +551,3 @@ class Episodes:
     def steps(self) -> np.ndarray:
         """Steps since the reset, shape (n,), as floats; a view."""
         return self.simulation.boats["step"]
-
-
-def _faults(config: EnvConfig) -> tuple[Any, int]:
-    """Return faults, or a function that draws them, and how many there are at most."""
-    faults, dt = config.faults, config.dt
-    if isinstance(faults, str):
-        texts = faults.split("|")
-        # a wrong name fails here, not at the first reset
-        named = [parse_faults(one, 0.0) for one in texts]
-        most = max(len(fault_records(one, dt)) for one in named)
-        _warn_of([fault for one in named for fault in one], config)
-
-        def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
-            start = rng.uniform(*FAULT_START)
-            return parse_faults(choice(texts, rng), start)
-
-        return draw, most
-    items = list(faults) if isinstance(faults, Sequence) else [faults]
-    given = [fault for fault in items if isinstance(fault, Disturbance)]
-    if len(given) < len(items):
-        raise FaultError(
-            f"faults = {faults!r}: give a text such as 'gps10', or a list of "
-            "usv_gym.Fault(kind, start, duration)"
-        )
-    _warn_of(given, config)
-    return given, len(given)
-
-
-def _warn_of(faults: Sequence[Disturbance], config: EnvConfig) -> None:
-    """Warn of a fault that changes nothing."""
-    anemometer = SensorSuite.of(config.suite).has_anemometer
-    if (found := ineffective_fault(faults, config.dof, anemometer)) is not None:
-        warnings.warn(found, FaultWarning, stacklevel=4)

@@ -72,10 +72,10 @@ class Stacked(Observer):
 @kernel
 def _true_state(rows, episodes, shared, obs):
     """Write the truth behind the sensors' entries of each boat's observation."""
-    config = as_record(shared, EPISODES)
-    rules = config.rules
     for i in range(rows.shape[0]):
-        state, errors = as_record(rows[i], BOAT).state, as_record(episodes[i], EPISODE).task.errors
+        episode = as_record(episodes[i], EPISODE)
+        config = as_record(shared[int(episode.kind)], EPISODES)
+        rules, state, errors = config.rules, as_record(rows[i], BOAT).state, episode.task.errors
         o = obs[i, int(config.entries) :]
         psi = state[fr.PSI]
         o[SURGE], o[SWAY] = state[fr.U] / rules.speed, state[fr.V] / rules.speed

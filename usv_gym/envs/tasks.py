@@ -255,11 +255,16 @@ class Task:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
         return self.records["errors"]
 
-    def reset(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the path of boat i; it starts at the origin, heading north."""
-        self.points[i] = self._path(rng)
+    def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
+        """Draw the path of boat i, which starts at the origin with a heading (rad)."""
+        points = self._path(rng)
+        if heading != 0.0:
+            c, s = math.cos(heading), math.sin(heading)
+            north, east = points.T
+            points = np.stack([c * north - s * east, s * north + c * east], axis=1)
+        self.points[i] = points
         self.records[i] = 0.0
-        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records["errors"][i])
+        path_errors(0.0, 0.0, heading, self.points[i], 0, self.records["errors"][i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         raise TaskError("a task must draw its path")

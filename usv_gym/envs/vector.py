@@ -63,7 +63,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     -----
     ``reset(seed=7)`` gives element i what ``reset(seed=7 + i)`` gives a single environment; a
     sequence of seeds gives each its own, and None goes on with its generator. Infos are arrays
-    over the boats, with a mask ``_key`` beside each ``key``, as in Gymnasium's own.
+    over the boats, with a mask ``_key`` beside each ``key``, as in Gymnasium's own. That holds for
+    ``info["drawn"]`` as well, in resets and in steps that reset some boats.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's attribute
@@ -110,7 +111,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         if not isinstance(record, bool):
             raise UsvTwinError(f"record = {record!r}: must be True or False")
-        self.recorder = Recorder(self.simulation) if record else None
+        self.recorder = Recorder(self.episodes) if record else None
         callbacks = self.observer, self.renderer, self.recorder
         self._callbacks = tuple(one for one in callbacks if one is not None)
         self.observation_names = names_of(self.episodes, self.observer)
@@ -215,7 +216,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()
-        return self._obs.copy(), self._infos(mask)
+        return self._obs.copy(), self._infos(mask) | self._drawn(mask)
 
     def _restart(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
@@ -282,14 +283,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         truncations = self.episodes.steps >= self._limits
         rewards[late] = 0.0
         over = terminations | truncations
-        infos = self._infos(None)
+        infos = self._infos(None) | self._drawn(late)
         if mode == AutoresetMode.SAME_STEP and over.any():
             final = np.full(self.num_envs, None, dtype=object)
             for i in np.flatnonzero(over):
                 final[i] = self._obs[i].copy()
             ended = self._infos(over)
             self._restart(over)
-            infos = self._infos(None)
+            infos = self._infos(None) | self._drawn(over)
             infos |= {"final_obs": final, "_final_obs": over.copy()}
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
@@ -319,6 +320,13 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos["reward_terms"] = masked(terms, mask, self.num_envs)
         infos["_reward_terms"] = infos["_t_s"]
         return infos
+
+    def _drawn(self, begun: np.ndarray) -> Info:
+        """Return what was drawn of the episodes that begin now; nothing where none does."""
+        if not begun.any():
+            return {}
+        drawn = masked(self.episodes.worlds.drawn, begun, self.num_envs)
+        return {"drawn": drawn, "_drawn": begun.copy()}
 
     def _refuse_closed(self) -> None:
         if self.closed:

@@ -127,6 +127,7 @@ PARAMETERS = np.dtype(
     + [
         ("resistance_speed", float, RESISTANCE_POINTS),  # m/s, increasing
         ("resistance_force", float, RESISTANCE_POINTS),  # N
+        ("side_thrust", float, 2),  # thrust of the left and right unit over nominal, less 1
     ]
 )
 """A vessel, as every kernel of the physics takes it."""

@@ -32,16 +32,19 @@ def thrust(n: float, u_P: float, p: Record) -> float:
 
 @kernel
 def _drive_forces(
-    u: float, v: float, r: float, y: float, n: float, delta: float, p: Record
+    u: float, v: float, r: float, unit: tuple[float, ...], n: float, delta: float, p: Record
 ) -> tuple[float, float, float]:
     """Return X, Y, N of one steerable drive, or of one fixed thruster (which has no leg).
+
+    ``unit`` is its place to starboard (m), and its thrust over the nominal one.
 
     Source: Eq (10) with delta > 0 to starboard; the leg as an MMG rudder (Yasukawa and
     Yoshimura 2015) without hull interaction.
     """
+    y, share = unit
     area = p.water_density * math.pi * p.propeller_diameter**2 / 8.0
     u_unit = u - y * r
-    T = thrust(n, (1.0 - p.wake_fraction) * u_unit, p)
+    T = share * thrust(n, (1.0 - p.wake_fraction) * u_unit, p)
     s, c = sincos(delta)
     u_R = u_unit + p.slipstream * math.sqrt(max(T, 0.0) / area)
     v_R = v + p.x_P * r
@@ -56,14 +59,17 @@ def _drive_forces(
 
 @kernel
 def _rudder_forces(
-    u: float, v: float, r: float, y: float, n: float, delta: float, p: Record
+    u: float, v: float, r: float, unit: tuple[float, ...], n: float, delta: float, p: Record
 ) -> tuple[float, float, float]:
     """Return X, Y, N of one propeller and the rudder behind it.
+
+    ``unit`` is its place to starboard (m), and its thrust over the nominal one.
 
     Source: MMG standard method, Yasukawa and Yoshimura 2015. The rudder's inflow is written without
     the quotient J, so that it holds with the ship at rest. Signed squares let it go through zero
     when the ship goes astern.
     """
+    y, share = unit
     L, D = p.length_waterline, p.propeller_diameter
     U = math.sqrt(u * u + v * v)
     beta = math.atan2(-v, abs(u))
@@ -73,7 +79,7 @@ def _rudder_forces(
     gain = 1.0 + (1.0 - math.exp(-p.C_1 * abs(beta_P))) * (C_2 - 1.0)
     # the share of turning keeps the wake of a straight course: a ship at rest has no drift
     u_P = (1.0 - p.wake_fraction) * (u * gain - y * r)
-    T = thrust(n, u_P, p)
+    T = share * thrust(n, u_P, p)
 
     jet = math.sqrt(max(u_P * u_P + 8.0 * T / (math.pi * p.water_density * D * D), 0.0))
     inside = u_P + p.kappa * (jet - abs(u_P))
@@ -107,11 +113,12 @@ def propulsion_forces(
     rudder = p.kind == PROPELLER_RUDDER
     for i in range(units):
         y = 0.0 if units == 1 else (-p.y_P if i == 0 else p.y_P)
+        unit = y, 1.0 + p.side_thrust[i]
         n, delta = state[fr.N_LEFT + i], state[fr.DELTA_LEFT + i]
         if rudder:
-            X, Y, N = _rudder_forces(u, v, r, y, n, delta, p)
+            X, Y, N = _rudder_forces(u, v, r, unit, n, delta, p)
         else:
-            X, Y, N = _drive_forces(u, v, r, y, n, delta, p)
+            X, Y, N = _drive_forces(u, v, r, unit, n, delta, p)
         X_P += X
         Y_P += Y
         N_P += N

@@ -33,6 +33,7 @@ from usv_gym.vessel.schema import (
     check_resistance,
     check_values,
 )
+from usv_gym.vessel.variation import BoatClass
 from usv_gym.vessel.vessel_file import read_vessel, vessel_names
 from usv_kernel.records import Record
 from usv_kernel.servos import Servos
@@ -59,31 +60,8 @@ _DEFAULTS = {
 FULL_HELM = math.radians(30.0)
 """Helm angle at which a thruster pair gives all thrust with one thruster, rad."""
 
-# fmt: off
-_GEOMETRY = frozenset((
-    "length_waterline", "beam", "draft", "block_coefficient", "mass", "x_G", "KG", "I_xx", "I_yy",
-    "I_zz", "x_F", "GM_T", "GM_L", "propeller_diameter", "x_P", "y_P", "z_P", "A_R",
-    "rudder_height", "x_P_prime", "x_R_prime", "A_F", "A_L", "s_L", "s_H",
-))
-"""Geometry and inertia; they vary less than coefficients, see :meth:`Vessel.varied`."""
-
-_FIXED = frozenset((
-    "water_density", "units", "shaft_lag", "shaft_rate", "shaft_speed_max", "shaft_speed_service",
-    "shaft_speed_manoeuvring", "steer_lag", "steer_rate", "steer_max",
-))
-# fmt: on
-"""Water, engines and steering gear: equal in all boats of a kind."""
-
 TWO_HULLS = 0.5
 """Water-plane coefficient below which a vessel counts as a catamaran."""
-
-TRIES = 1000
-"""Boats that :meth:`Vessel.varied` draws at most."""
-
-SPEED_FACTOR = 4.0 / 3.0
-"""Largest ratio of speeds between boats of a kind."""
-
-SHAFT_SPEEDS = ("shaft_speed_manoeuvring", "shaft_speed_service", "shaft_speed_max")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +94,8 @@ class Vessel:
         any other file, whatever its name.
     outputs : Servos, optional
         Servo outputs of an autopilot that steer it, see :attr:`servos`.
+    side_thrust : tuple of float
+        Thrust of the left and right unit over the nominal one, less 1: no two sides are alike.
     """
 
     name: str
@@ -130,6 +110,7 @@ class Vessel:
     stated: Mapping[str, float] = field(default_factory=dict)
     design: str = ""
     outputs: Servos | None = None
+    side_thrust: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("values", "stated"):
@@ -248,6 +229,7 @@ class Vessel:
             if points:
                 record[key] = points[-1]
                 record[key][: len(points)] = points
+        record["side_thrust"] = self.side_thrust
         return record
 
     @property
@@ -362,40 +344,7 @@ class Vessel:
 
         Source: docs/explanation/ship_and_sea.md, Vessels.
         """
-        built = spread / 3.0 if built is None else built
-        if not (math.isfinite(spread + built) and min(spread, built) >= 0.0):
-            raise VesselError(
-                f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
-            )
-        sd = np.array(
-            [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
-        )
-        limit, n = max(_drift_growth(self), 0.0), self.values["shaft_speed_manoeuvring"]
-        nominal = self.straight_speed(n)
-        for _ in range(TRIES):
-            drawn = np.clip(1.0 + sd * rng.standard_normal(sd.size), 0.1, 1.9).tolist()
-            *factors, force, speed = drawn
-            factor = dict(zip(par.SCALARS, factors, strict=True)) | dict.fromkeys(_FIXED, 1.0)
-            factor["length_overall"] = factor["length_waterline"]
-            factor["hull_beam"] = factor["spacing"] = factor["beam"]
-            factor["A_wp"] = factor["length_waterline"] * factor["beam"]
-            factor["zeta_roll_viscous"] = factor["zeta_roll"]
-            try:
-                boat = dataclasses.replace(
-                    self,
-                    values={key: factor[key] * value for key, value in self.values.items()},
-                    resistance_speed=tuple(speed * v for v in self.resistance_speed),
-                    resistance_force=tuple(force * f for f in self.resistance_force),
-                )
-                ratio = boat.straight_speed(n) / nominal
-                if 1.0 / SPEED_FACTOR <= ratio <= SPEED_FACTOR and _drift_growth(boat) <= limit:
-                    return boat
-            except VesselError:
-                continue
-        raise VesselError(
-            f"{self.name}: none of {TRIES} boats drawn with spread = {spread:g}, built = {built:g} "
-            "holds speed and course; use smaller spreads"
-        )
+        return BoatClass(self, spread, built).draw(rng).vessel
 
 
 def state_at(vessel: Vessel, n: float, speed: float) -> np.ndarray:
@@ -432,17 +381,6 @@ def course_eigenvalues(vessel: Vessel, n: float) -> tuple[complex, complex]:
     values = np.linalg.eigvals(jacobian(vessel, state, [fr.V, fr.R], dof=3))
     first, second = sorted((complex(value) for value in values), key=lambda z: -z.real)
     return first, second
-
-
-def _drift_growth(vessel: Vessel) -> float:
-    """Return the largest growth rate of drift over all shaft speeds, per ship length."""
-    v = vessel.values
-    return max(
-        course_eigenvalues(vessel, v[key])[0].real
-        * v["length_waterline"]
-        / vessel.straight_speed(v[key])
-        for key in SHAFT_SPEEDS
-    )
 
 
 def _root(f: Callable[[float], float], a: float, b: float, xtol: float = 1e-9) -> float:

@@ -344,6 +344,19 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     return tuple(faults)
 
 
+def fault_text(fault: Disturbance) -> str:
+    """Return a fault as the text that :func:`parse_faults` reads, with rounded times.
+
+    Gaps and durations of random faults, and sizes of errors, are not in it.
+    """
+    name = fault.kind if fault.effect == "loss" else f"{fault.kind}-{fault.effect}"
+    if isinstance(fault, Fault):
+        return f"{name}{fault.duration:g}@{fault.start:.1f}"
+    if isinstance(fault, Bursts):
+        return f"{name}-bursts{100.0 * fault.loss:g}x{fault.mean:g}@{fault.start:g}"
+    return f"{name}-random"
+
+
 def _fault(match: re.Match[str], start: float) -> Disturbance:
     """Return the fault that the groups of a match stand for."""
     kind, effect, seconds, random, loss, mean, at = match.groups()

@@ -307,20 +307,27 @@ class SeaState:
         return Spectrum(omega, spectra.ittc_spectrum(omega, self.hs, tp))
 
     def realise(
-        self, vessel: Vessel, rng_waves: np.random.Generator, rng_gusts: np.random.Generator
+        self,
+        vessel: Vessel,
+        rng_waves: np.random.Generator,
+        rng_gusts: np.random.Generator,
+        *,
+        wind_from: float | None = None,
+        current: tuple[float, float] | None = None,
     ) -> Sea:
         """Draw one sea; its slow changes of the wind start at the mean.
 
         The vessel's draft and length decide how deep the pressure reaches and which waves it
         reflects. :func:`usv_gym.physics.weather.advance_slow_wind` draws and moves the wind's
-        changes.
+        changes. ``wind_from`` (rad) turns all wind as :meth:`turned` does; ``current`` (m/s, north
+        and east) replaces that of the sea state.
         """
         to = self.current_to
+        if current is None:
+            current = self.current * math.cos(to), self.current * math.sin(to)
+        turn = 0.0 if wind_from is None else wind_from - self.wind_from
         weather = wx.constant(
-            wind=self.wind,
-            wind_from=self.wind_from,
-            north=self.current * math.cos(to),
-            east=self.current * math.sin(to),
+            wind=self.wind, wind_from=self.wind_from + turn, north=current[0], east=current[1]
         )
         weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
         weather["from_sd"], weather["from_tau"] = self.wind_from_sd, self.wind_from_tau
@@ -329,14 +336,15 @@ class SeaState:
             gain = keyframe.hs / self.hs if self.hs > 0.0 else 1.0
             weather["keyframe_t"][i], weather["wave_gain"][i] = keyframe.time, gain
             weather["wind_speed"][i] = keyframe.wind
-            weather["wind_from"][i] = self._wind_from(keyframe)
+            weather["wind_from"][i] = self._wind_from(keyframe) + turn
+        waves_to = self.waves_to + (turn if self.wave_to is None else 0.0)
         if self.hs > 0.0:
             omega, amplitude, aside = self._drift_waves
-            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, self.waves_to + aside)
-            drift = drift_table(vessel, omega, amplitude, self.waves_to + aside)
+            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, waves_to + aside)
+            drift = drift_table(vessel, omega, amplitude, waves_to + aside)
             if drift is not None:
                 weather["drift_table"], weather["drift_tabled"] = drift, 1.0
-        components, gusts = self._waves(vessel, rng_waves), self._gusts(rng_gusts)
+        components, gusts = self._waves(vessel, rng_waves, waves_to), self._gusts(rng_gusts)
         return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
 
     @property
@@ -396,8 +404,8 @@ class SeaState:
             omega = spectra.quantile_frequencies(quantiles, table.omega, table.density)
         return omega, np.full(M, self.hs / math.sqrt(8.0 * M))
 
-    def _waves(self, vessel: Vessel, rng: np.random.Generator) -> Array:
-        """Draw the wave components."""
+    def _waves(self, vessel: Vessel, rng: np.random.Generator, to: float) -> Array:
+        """Draw the wave components of waves that go ``to``, rad."""
         if self.hs == 0.0:
             return np.zeros((waves.WAVE_ROWS, 0))
         omega, amplitude = self._components(rng)
@@ -406,7 +414,6 @@ class SeaState:
         if self.spreading is not None:
             # one direction at random in each of M bins of equal energy, dealt to the frequencies
             aside = self._aside((rng.permutation(M) + rng.random(M)) / M)
-        to = self.waves_to
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)
         east = math.sin(to) * np.cos(aside) + math.cos(to) * np.sin(aside)
         return wave_rows(vessel, omega, amplitude, north, east, phase)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,7 @@ __all__ = [
     "RunawayError",
     "Simulation",
     "SimulationError",
+    "World",
     "advance",
     "out_of_numbers",
 ]
@@ -95,7 +97,7 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     waves, gusts, loads = sea_arrays(row, config)
     sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
     numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
-    vessel = ship.Ship(config.vessel, config.dof)
+    vessel = ship.Ship(boat.vessel, config.dof)
     h = config.dt / config.substeps
     step = int(boat.step) + 1
     now = numbers[step % numbers.shape[0]]
@@ -172,7 +174,21 @@ def _float(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     boat = as_record(row, BOAT)
     waves, gusts, loads = sea_arrays(row, config)
     sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
-    ship.float_on(boat.state, config.vessel, sea)
+    ship.float_on(boat.state, boat.vessel, sea)
+
+
+class World(NamedTuple):
+    """What differs from boat to boat, besides sea state and faults."""
+
+    vessel: Vessel
+    speed: float
+    """At the start, ahead over ground, m/s."""
+    heading: float = 0.0
+    """At the start, rad clockwise from north."""
+    wind_from: float | None = None
+    """Where the wind of the sea state is turned to come from, rad; None leaves it."""
+    current: tuple[float, float] | None = None
+    """Velocity of the current, m/s north and east; None: that of the sea state."""
 
 
 def parts_of(n: int, substeps: int, threads: int = 1) -> list[slice]:
@@ -311,7 +327,12 @@ class Simulation:
         shared = np.zeros(1, SIMULATION)
         config = shared[0]
         config["dt"], config["substeps"], config["dof"] = dt, substeps, dof
-        config["vessel"], config["suite"] = vessel.packed, self.suite.pack(dt)
+        config["suite"] = self.suite.pack(dt)
+        self.boats["vessel"] = vessel.packed
+        self.vessels = [vessel] * n
+        """The boats of this episode, and what they sail in."""
+        self.drawn_seas = [self.seas[0]] * n
+        self.drawn_faults: list[tuple[Disturbance, ...]] = [()] * n
         for name, begin in at.items():
             config[f"{name}_at"] = begin
         config["wave_components"], config["gust_components"] = width, shapes["gusts"][1]
@@ -337,6 +358,7 @@ class Simulation:
         speed: float | None = None,
         heading: float = 0.0,
         at: tuple[float, float] = (0.0, 0.0),
+        worlds: Sequence[World] | None = None,
     ) -> None:
         """Put some boats back to the start: straight ahead, by default at the manoeuvring speed.
 
@@ -357,6 +379,9 @@ class Simulation:
             Clockwise from north, rad.
         at : tuple of float
             Place, m north and east.
+        worlds : sequence of World, optional
+            What differs from boat to boat, for each of them; it replaces ``heading``, and the
+            speed if none is given.
 
         Raises
         ------
@@ -365,6 +390,8 @@ class Simulation:
         """
         start = self._initial_state(speed, heading, at)
         boats, rngs = list(boats), list(rngs)
+        nominal = World(self.vessel, self._default_start[0], heading)
+        worlds = [nominal] * len(boats) if worlds is None else worlds
         if len(boats) != len(rngs) or not set(boats) <= set(range(self.n)):
             raise SimulationError(
                 f"reset of boats {boats} with {len(rngs)} generator(s): boats count from 0 to "
@@ -375,29 +402,42 @@ class Simulation:
                 raise SimulationError(
                     f"{rng!r} is no generator; use numpy.random.default_rng(seed)"
                 )
-        for i, rng in zip(boats, rngs, strict=True):
+        for i, rng, world in zip(boats, rngs, worlds, strict=True):
             self._not_reset.discard(i)
+            if self.vessels[i] is not world.vessel:
+                self.vessels[i] = world.vessel
+                self.boats[i]["vessel"] = world.vessel.packed
             # a last child for the anemometer: without one, nothing else is drawn
             children = rng.spawn(8 + self.suite.has_anemometer)
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = children
             rng_faults, rng_sea, rng_motion, *rngs_wind = others
-            self._fill(i, choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts))
+            state = choice(self.seas, rng_sea)
+            self.drawn_seas[i] = state
+            sea = state.realise(
+                world.vessel, rng_waves, rng_gusts, wind_from=world.wind_from, current=world.current
+            )
+            self._fill(i, sea)
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
             given = self._given_faults
             faults = tuple(given(rng_faults) if callable(given) else given)
+            self.drawn_faults[i] = faults
             self.faults[i] = 0.0
             self.faults[i]["start"] = math.nan
             self.faults[i, : len(faults)] = fault_records(faults, self.dt)
             sources = fault_sources(faults, rng_faults)
-            own = (rng_gps, rng_compass, rng_imu, rng_motion, rng_weather)
-            self._noise_rngs[i] = (*own, *rngs_wind, *sources)
+            always = (rng_gps, rng_compass, rng_imu, rng_motion, rng_weather)
+            self._noise_rngs[i] = (*always, *rngs_wind, *sources)
             boat = self.boats[i]
             boat["t"] = boat["step"] = boat["noise_until"] = 0.0
             self._refill(int(i))
-            state = boat["state"]
-            state[:] = start
-            boat["command"] = start[fr.N_LEFT :]
+            own = boat["state"]
+            own[:] = start
+            own[fr.PSI] = world.heading
+            if speed is None:
+                own[fr.U] = world.speed
+                own[[fr.N_LEFT, fr.N_RIGHT]] = world.vessel.values["shaft_speed_manoeuvring"]
+            boat["command"] = own[fr.N_LEFT :]
             if self.dof == 6:
                 _float(self.rows[i], self.config, self.factors)
             boat["mean_rate"] = boat["work"] = 0.0
@@ -431,7 +471,7 @@ class Simulation:
         Without ``waves`` the wind alone changes. With six degrees of freedom it is set on the new
         surface, moving with it. The slow changes of the wind begin at its mean.
         """
-        new = SeaState.named(sea).realise(self.vessel, *rng.spawn(2))
+        new = SeaState.named(sea).realise(self.vessels[i], *rng.spawn(2))
         for kind, array, components in (
             ("waves", self.waves, new.waves),
             ("gusts", self.gusts, new.gusts),
@@ -458,7 +498,7 @@ class Simulation:
             for key, drift in kept.items():
                 self.weather[i][key] = drift
         elif self._loads.shape[1] > 0:
-            loads, self._loads[i] = load_rows(self.vessel, sea.waves), 0.0
+            loads, self._loads[i] = load_rows(self.vessels[i], sea.waves), 0.0
             self._loads[i, : len(loads), :, : loads.shape[2]] = loads
 
     def step(self, cmd: np.ndarray) -> None:

@@ -37,6 +37,7 @@ BOAT = np.dtype(
         ("noise_until", float),  # first step for which no random numbers have been drawn
         ("mean_rate", float, fr.STATE_SIZE),  # mean time derivative over the last step
         ("work", float, (WORK_ROWS, fr.STATE_SIZE)),  # scratch of the Runge-Kutta step
+        ("vessel", PARAMETERS),  # boats of a kind may differ
     ]
 )
 """One boat of a simulation."""
@@ -66,7 +67,6 @@ SIMULATION = np.dtype(
         ("delay_rows", int),
         ("wind_line_at", int),  # the delay line of the anemometer
         ("wind_rows", int),
-        ("vessel", PARAMETERS),
         ("suite", SUITE),
     ]
 )

@@ -37,7 +37,11 @@ ODD = [
 ]
 """What a keyword may take or refuse, but must not choke on."""
 
-TAKEN = {"wind_from_deg": (-1, -0.5), "sea": (SEVERAL, RANGE, *WRONG[17:18])}
+TAKEN = {
+    "wind_from_deg": (-1, -0.5),
+    "heading_deg": (-1, -0.5),
+    "sea": (SEVERAL, RANGE, *WRONG[17:18]),
+}
 """Exceptions: degrees below 0, and several seas."""
 
 GYMNASIUM = {"max_episode_steps"}

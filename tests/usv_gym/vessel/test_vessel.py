@@ -28,6 +28,7 @@ from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
+from usv_gym.vessel import variation
 from usv_gym.vessel import vessel as vessel_module
 from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, UNITS
 from usv_gym.vessel.vessel import VesselError, course_eigenvalues
@@ -259,8 +260,8 @@ def test_impossible_spreads_are_refused(monkeypatch: pytest.MonkeyPatch) -> None
         with pytest.raises(VesselError, match=r"spread=.*0 or more"):
             boat.varied(rng, bad)
     # no boat is stable
-    monkeypatch.setattr(vessel_module, "_drift_growth", lambda other: float(other is not boat))
-    monkeypatch.setattr(vessel_module, "TRIES", 20)
+    monkeypatch.setattr(variation, "_accept", lambda *given: -1.0)
+    monkeypatch.setattr(variation, "TRIES", 20)
     with pytest.raises(VesselError, match=r"usv75: none of 20 boats.*smaller spreads"):
         boat.varied(rng)
 

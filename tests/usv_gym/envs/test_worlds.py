@@ -1,0 +1,228 @@
+"""Worlds that differ: what is drawn, what of it is shown, and that one boat is as in many."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import usv_gym  # noqa: F401 - registers the environment
+from usv_gym import Vessel
+from usv_gym.envs.env import USVEnv
+from usv_gym.envs.vector import USVVectorEnv
+from usv_gym.physics import frames as fr
+from usv_gym.physics import waves
+from usv_gym.vessel.variation import BoatClass
+from usv_gym.vessel.vessel import VesselError
+from usv_kernel.errors import UsvTwinError
+
+ALL = {
+    "vessel_spread": 0.3,
+    "wind_from_deg": "any",
+    "current": "any",
+    "heading_deg": "any",
+    "load": (0.8, 1.2),
+    "sea": "0|2|squall",
+    "faults": "none|gps10|imu-random+gps-bursts",
+}
+
+OPTIONS = st.fixed_dictionaries(
+    {},
+    optional={
+        "vessel": st.sampled_from(["usv75", "otter|usv75", "kvlcc2_l7|wamv16|usv75"]),
+        "vessel_spread": st.sampled_from([0.0, 0.15, 0.5]),
+        "wind_from_deg": st.sampled_from(["any", 20.0, (-30.0, 60.0)]),
+        "current": st.sampled_from(["any", 0.3, (0.2, 90.0), ((0.0, 1.0), (10.0, 20.0))]),
+        "heading_deg": st.sampled_from(["any", 90.0, (-180.0, 0.0)]),
+        "load": st.sampled_from([1.2, (0.7, 1.3)]),
+        "sea": st.sampled_from(["0", "2", "0|2|building"]),
+        "faults": st.sampled_from(["none", "gps10|none"]),
+        "task": st.sampled_from(["path", "station"]),
+        "dof": st.sampled_from([3, 6]),
+    },
+)
+
+
+def assert_same_drawn(one: dict, many: dict, i: int) -> None:
+    assert set(many) == {*one, *(f"_{key}" for key in one)}
+    for key, value in one.items():
+        assert many[f"_{key}"][i]
+        np.testing.assert_array_equal(many[key][i], value, err_msg=key)
+
+
+@settings(max_examples=12, deadline=None)
+@given(options=OPTIONS, seed=st.integers(0, 2**31), mode=st.sampled_from(["NextStep", "SameStep"]))
+def test_single_and_vector_draw_and_sail_the_same_worlds(options, seed, mode) -> None:
+    if options.get("dof") == 6 and "kvlcc2" in options.get("vessel", ""):
+        options = options | {"dof": 3}  # only some of these have a table
+    env = USVEnv(frame_skip=3, **options)
+    envs = USVVectorEnv(
+        3, frame_skip=3, max_episode_steps=5, autoreset_mode=mode, num_threads=2, **options
+    )
+    obs, infos = envs.reset(seed=seed)
+    own, info = env.reset(seed=seed + 1)
+    rng = np.random.default_rng(seed)
+    for _ in range(13):
+        np.testing.assert_array_equal(own, obs[1])
+        if "drawn" in infos:
+            assert_same_drawn(info["drawn"], infos["drawn"], 1)
+        actions = rng.uniform(-1.0, 1.0, (3, 2))
+        obs, rewards, *_, infos = envs.step(actions)
+        if "drawn" in infos:  # all episodes are equally long
+            own, info = env.reset()
+        else:
+            own, reward, *_, info = env.step(actions[1])
+            assert reward == rewards[1] and "drawn" not in info
+    envs.close()
+
+
+def test_infos_say_what_was_drawn_where_an_episode_begins() -> None:
+    envs = USVVectorEnv(3, autoreset_mode="SameStep", frame_skip=10, **ALL)
+    _, infos = envs.reset(seed=0, options={"first_episode_steps": np.array([2, 9, 9])})
+    assert infos["_drawn"].all() and len(set(infos["drawn"]["wind_from_deg"])) == 3
+    infos = envs.step(np.zeros((3, 2)))[-1]
+    assert "drawn" not in infos
+    infos = envs.step(np.zeros((3, 2)))[-1]
+    assert infos["_drawn"].tolist() == [True, False, False]
+    assert infos["drawn"]["_load"].tolist() == [True, False, False]
+    assert infos["drawn"]["faults"][1] is None and "drawn" not in infos["final_info"]
+
+
+def test_infos_of_gymnasiums_vector_environment_are_equal() -> None:
+    options = {**ALL, "twin": None, "frame_skip": 10, "max_episode_steps": 3}
+    theirs = gym.make_vec("USVTwin-v0", 2, vectorization_mode="sync", **options)
+    ours = gym.make_vec("USVTwin-v0", 2, **options)
+    found = [envs.reset(seed=3)[1]["drawn"] for envs in (theirs, ours)]
+    for _ in range(4):
+        infos = [envs.step(np.zeros((2, 2)))[-1] for envs in (theirs, ours)]
+    found += [info["drawn"] for info in infos]
+    for one, other in (found[:2], found[2:]):
+        assert set(one) == set(other)
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+def test_drawn_numbers_are_those_of_the_simulated_boat() -> None:
+    env = USVEnv(**ALL)
+    for seed in range(5):
+        drawn = env.reset(seed=seed)[1]["drawn"]
+        boat, packed = env.simulation.boats[0], env.vessel.packed
+        for key in ("mass", "Y_v", "k_0", "length_overall"):
+            factor = getattr(drawn["vessel_factors"], key)
+            assert boat["vessel"][key] == pytest.approx(factor * packed[key], rel=1e-12)
+            assert factor != 1.0
+        left, right = drawn["vessel_factors"][-2:]
+        assert boat["vessel"]["side_thrust"].tolist() == pytest.approx([left - 1, right - 1])
+        to = math.radians(drawn["current_to_deg"])
+        north = drawn["current_mps"] * math.cos(to)
+        assert boat["weather"]["current_north"] == pytest.approx(north)
+        heading = math.degrees(boat["state"][fr.PSI]) % 360.0
+        assert heading == pytest.approx(drawn["heading_deg"]) and 0.8 <= drawn["load"] <= 1.2
+        assert math.degrees(boat["weather"]["wind_from"][0]) % 360.0 == pytest.approx(
+            drawn["wind_from_deg"]
+        )
+
+
+def test_options_leave_each_other_and_the_path_as_they_were() -> None:
+    plain = USVEnv(sea="2")
+    plain.reset(seed=1)
+    some = {"current": "any", "wind_from_deg": "any"}
+    one, other = USVEnv(sea="2", **some), USVEnv(sea="2", vessel_spread=0.3, **some)
+    drawn = [env.reset(seed=1)[1]["drawn"] for env in (one, other)]
+    for key in ("current_mps", "current_to_deg", "wind_from_deg"):
+        assert drawn[0][key] == drawn[1][key]
+    for env in (one, other):
+        np.testing.assert_array_equal(env.task.points, plain.task.points)
+        rows = [waves.OMEGA, waves.PHASE, waves.AMPLITUDE]
+        np.testing.assert_array_equal(
+            env.simulation.waves[0, rows], plain.simulation.waves[0, rows]
+        )
+
+
+def test_a_heading_turns_the_path_with_the_boat() -> None:
+    still = {"sea": "0", "suite": "perfect"}
+    north, east = USVEnv(**still), USVEnv(**still, heading_deg=90.0)
+    for env in (north, east):
+        env.reset(seed=5)
+        for _ in range(40):
+            env.step([0.7, 0.3])
+    turned = np.stack([north.task.points[0, :, 1] * -1.0, north.task.points[0, :, 0]], axis=1)
+    np.testing.assert_allclose(east.task.points[0], turned, atol=1e-9)
+    np.testing.assert_allclose(east.task.errors, north.task.errors, atol=1e-9)
+
+
+def test_the_observation_does_not_show_what_was_drawn() -> None:
+    """At the start boats differ in their speed alone."""
+    plain, varied = USVEnv(sea="0"), USVEnv(sea="0", vessel_spread=0.3, load=1.2)
+    one, other = plain.reset(seed=2)[0], varied.reset(seed=2)[0]
+    moves = [plain.observation_names.index(name) for name in ("speed_forward", "speed_starboard")]
+    np.testing.assert_array_equal(np.delete(one, moves), np.delete(other, moves))
+    assert plain.observation_names == varied.observation_names
+
+
+def test_boats_of_a_class_have_unequal_sides() -> None:
+    kind = BoatClass(Vessel.load("usv75"), 0.15, sides=0.05)
+    rng = np.random.default_rng(0)
+    sides = np.array([kind.draw(rng).vessel.side_thrust for _ in range(300)])
+    np.testing.assert_allclose(sides.std(axis=0), 0.05, rtol=0.15)
+    assert abs(np.corrcoef(sides.T)[0, 1]) < 0.2
+    single = BoatClass(Vessel.load("kvlcc2_l7"), 0.15, sides=0.05)
+    assert single.draw(rng).vessel.side_thrust == (0.0, 0.0)
+
+
+def test_a_boat_with_a_stronger_left_side_turns_to_starboard() -> None:
+    rates = []
+    for seed in range(6):
+        env = USVEnv(sea="0", vessel_spread=0.3)
+        left, right = env.reset(seed=seed)[1]["drawn"]["vessel_factors"][-2:]
+        for _ in range(100):
+            env.step([0.7, 0.0])
+        rates.append((left - right) * env.simulation.state[0, fr.R])
+    assert all(rate > 0.0 for rate in rates)
+
+
+def test_drawn_vessels_are_equal_to_those_that_are_checked() -> None:
+    for name in ("usv75", "otter", "kvlcc2"):
+        kind = BoatClass(Vessel.load(name), 0.2, sides=0.05)
+        boat = kind.draw(np.random.default_rng(1), load=1.1)
+        v = boat.vessel
+        again = Vessel(
+            name=v.name,
+            title=v.title,
+            kind=v.kind,
+            values=v.values,
+            resistance_speed=v.resistance_speed,
+            resistance_force=v.resistance_force,
+            side_thrust=v.side_thrust,
+        )
+        ours, theirs = (np.array([one.packed]).view(float) for one in (v, again))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-14)
+        n = v.values["shaft_speed_manoeuvring"]
+        assert boat.speed == pytest.approx(again.straight_speed(n), abs=1e-8)
+
+
+WRONG = {
+    "vessel_spread": (-0.1, 0.6, "x", None),
+    "load": (0.1, (1.2, 0.8), (1.0,), "any"),
+    "wind_from_deg": ("all", (1.0, 2.0, 3.0), (90.0, 10.0), (0.0, math.nan)),
+    "current": (-1.0, "x", (1.0, 2.0, 3.0), (0.3, (0.0, 1e9)), {}),
+    "heading_deg": ("north", None, (0.0, math.inf)),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_worlds_are_refused_by_name(name) -> None:
+    for value in WRONG[name]:
+        with pytest.raises(UsvTwinError, match=name):
+            USVEnv(**{name: value})
+
+
+def test_vessels_that_cannot_share_an_environment_are_refused() -> None:
+    with pytest.raises(VesselError, match=r"usv75 has 4, otter has 2; use actions='common'"):
+        USVEnv(vessel="usv75|otter", actions="units")
+    with pytest.raises(VesselError, match=r"with dof=6.*without_table"):
+        USVEnv(vessel="usv75|kvlcc2", dof=6)

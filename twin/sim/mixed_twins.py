@@ -1,0 +1,97 @@
+"""Twins of boats of several kinds: each kind has its own, as particulars and prior differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.digital_twin import Twin
+from twin.particulars import Particulars
+from twin.predictors.base import Predictor
+from twin.predictors.registry import PredictorError
+from twin.sim.batched_twins import TwinObserver, twins_of
+from usv_gym.envs.episodes import Episodes, Observer
+from usv_gym.envs.scene import TwinOverlay
+
+__all__ = ["MixedTwins", "observer_of"]
+
+_ALL = slice(None)
+
+
+class MixedTwins(Observer):
+    """Twins of n boats, each of one of several kinds in its episode.
+
+    Parameters
+    ----------
+    episodes : Episodes
+        The boats.
+    kinds : sequence of TwinObserver
+        Twins of all boats for each kind; those of the kind that a boat has are run.
+
+    Raises
+    ------
+    PredictorError
+        The kinds add different entries to the observation.
+    """
+
+    def __init__(self, episodes: Episodes, kinds: Sequence[TwinObserver]) -> None:
+        self.kinds, self.names = tuple(kinds), kinds[0].names
+        self._numbers = episodes.records["kind"]
+        if any(one.names != self.names for one in kinds):
+            names = ", ".join(kind.vessel.name for kind in episodes.kinds)
+            raise PredictorError(
+                f"vessel = {names}: the twins of these identify different parameters, so that "
+                "observation='twin_params' differs; use 'twin', or vessels of one kind"
+            )
+
+    def _of(self, i: int) -> TwinObserver:
+        return self.kinds[int(self._numbers[i])]
+
+    @property
+    def first(self) -> Twin:
+        """The twin of the first boat."""
+        return self._of(0).first
+
+    def twin(self, i: int) -> Twin:
+        """See :meth:`twin.sim.batched_twins.TwinObserver.twin`."""
+        return self._of(i).twin(i)
+
+    def overlay(self, i: int) -> TwinOverlay | None:
+        """See :meth:`twin.sim.batched_twins.TwinObserver.overlay`."""
+        return self._of(i).overlay(i)
+
+    def reset(self, i: int) -> None:
+        """See :class:`Observer`."""
+        for one in self.kinds:
+            one.reset(i)
+            if one is not self._of(i):
+                one.leave(i)
+
+    def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
+        """See :class:`Observer`; each twin writes the entries of its own boats alone."""
+        for one in self.kinds:
+            one.observe(obs, look, rows)
+
+    def infos(self) -> dict[str, np.ndarray]:
+        """See :class:`Observer`."""
+        each = [one.infos() for one in self.kinds]
+        return {
+            name: np.choose(self._numbers.astype(np.intp), [infos[name] for infos in each])
+            for name in each[0]
+        }
+
+
+def observer_of(
+    episodes: Episodes,
+    twin: str | Predictor,
+    particulars: Particulars | None,
+    band_period: float,
+    seed: int,
+    observation: str = "twin",
+    forecast_scores: bool = True,
+) -> TwinObserver | MixedTwins:
+    """Return the twins of n boats; the arguments are those of ``batched_twins.twins_of``."""
+    found = twins_of(episodes, twin, particulars, band_period, seed, observation, forecast_scores)
+    return found[0] if len(found) == 1 else MixedTwins(episodes, found)

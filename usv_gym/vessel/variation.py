@@ -1,0 +1,337 @@
+"""Boats of one kind that differ: how they are drawn, and which are kept.
+
+The law is that of :meth:`usv_gym.Vessel.varied`. A drawn boat is checked in compiled code, so that
+an environment can draw one at every reset.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import namedtuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_gym.physics import frames as fr
+from usv_gym.physics import parameters as par
+from usv_gym.physics import ship
+from usv_gym.physics.hull import hull_forces
+from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.vessel.schema import VesselError
+from usv_kernel.jit import kernel
+from usv_kernel.records import Record, as_record, field_at, record_size
+
+if TYPE_CHECKING:
+    from usv_gym.vessel.vessel import Vessel
+
+__all__ = ["FACTORS", "SHAFT_SPEEDS", "BoatClass", "DrawnBoat", "Factors"]
+
+Array = NDArray[np.float64]
+
+# fmt: off
+_GEOMETRY = frozenset((
+    "length_waterline", "beam", "draft", "block_coefficient", "mass", "x_G", "KG", "I_xx", "I_yy",
+    "I_zz", "x_F", "GM_T", "GM_L", "propeller_diameter", "x_P", "y_P", "z_P", "A_R",
+    "rudder_height", "x_P_prime", "x_R_prime", "A_F", "A_L", "s_L", "s_H",
+))
+"""Geometry and inertia; they vary less than coefficients, see :meth:`Vessel.varied`."""
+
+_FIXED = frozenset((
+    "kind", "water_density", "units", "shaft_lag", "shaft_rate", "shaft_speed_max",
+    "shaft_speed_service", "shaft_speed_manoeuvring", "steer_lag", "steer_rate", "steer_max",
+))
+"""Water, engines and steering gear: equal in all boats of a kind."""
+
+_LOADED = ("mass", "I_xx", "I_yy", "I_zz", "draft", "m_x", "m_y", "m_z", "J_xx", "J_yy", "J_zz")
+"""What grows with the load; the sides of the hull are taken as vertical."""
+# fmt: on
+
+FACTORS = (*par.SCALARS, "resistance_force", "resistance_speed", "thrust_left", "thrust_right")
+"""What the factors of a drawn boat multiply, see :class:`DrawnBoat`."""
+
+Factors = namedtuple("Factors", FACTORS)  # type: ignore[misc]
+"""The same by name: ``factors.mass``."""
+
+SHAFT_SPEEDS = ("shaft_speed_manoeuvring", "shaft_speed_service", "shaft_speed_max")
+
+TRIES = 1000
+"""Boats that are drawn at most."""
+
+SPEED_FACTOR = 4.0 / 3.0
+"""Largest ratio of speeds between boats of a kind."""
+
+_N_SCALARS = len(par.SCALARS)
+
+_LENGTH, _OVERALL, _BEAM, _PLANE = (
+    par.SCALARS.index(key) for key in ("length_waterline", "length_overall", "beam", "A_wp")
+)
+
+_LOAD_AT = [par.SCALARS.index(key) for key in _LOADED]
+
+_SPEEDS_AT, _FORCES_AT, _SIDES_AT = (
+    slice(field_at(par.PARAMETERS, key), field_at(par.PARAMETERS, key) + size)
+    for key, size in (
+        ("resistance_speed", par.RESISTANCE_POINTS),
+        ("resistance_force", par.RESISTANCE_POINTS),
+        ("side_thrust", 2),
+    )
+)
+
+_STEP = 1e-6
+"""Of the central differences."""
+
+_SPEED_ERROR = 1e-10
+"""Error of a steady speed, m/s."""
+
+
+@kernel
+def _surplus(u: float, p: Record, state: np.ndarray) -> float:
+    """Return the thrust left over at a speed (m/s) straight ahead, N."""
+    return propulsion_forces(u, 0.0, 0.0, state, p)[0] + hull_forces(u, 0.0, 0.0, p)[0]
+
+
+@kernel
+def steady_speed(n: float, p: Record, state: np.ndarray) -> float:
+    """Return the steady speed (m/s) straight ahead in calm water, or -1 if there is none.
+
+    ``n`` is the speed of all shafts, rev/s; ``state`` (16,) is scratch. By false position with
+    halved weights (Illinois).
+    """
+    for i in range(fr.STATE_SIZE):
+        state[i] = 0.0
+    state[fr.N_LEFT] = state[fr.N_RIGHT] = n
+    low, high = 0.0, 4.0 * n * p.propeller_diameter + 1.0
+    f_low, f_high = _surplus(low, p, state), _surplus(high, p, state)
+    while f_high > 0.0 and high < 200.0:
+        high *= 2.0
+        f_high = _surplus(high, p, state)
+    if not (f_low > 0.0 and f_high < 0.0):
+        return -1.0
+    side = 0
+    for _ in range(200):
+        u = (low * f_high - high * f_low) / (f_high - f_low)
+        f = _surplus(u, p, state)
+        if high - low < _SPEED_ERROR or f == 0.0:
+            return u
+        moved = min(u - low, high - u)
+        if f > 0.0:
+            low, f_low = u, f
+            f_high *= 0.5 if side == 1 else 1.0
+            side = 1
+        else:
+            high, f_high = u, f
+            f_low *= 0.5 if side == -1 else 1.0
+            side = -1
+        if moved < 0.1 * _SPEED_ERROR:
+            return u
+    return 0.5 * (low + high)
+
+
+@kernel
+def _growth(n: float, speed: float, p: Record, sea: ship.Sea, work: np.ndarray) -> float:
+    """Return the growth rate of drift and turning on a straight course, 1/s."""
+    state, trial, out = work[0], work[1], work[2]
+    boat, air = ship.Ship(p, 3), ship.Air(0.0, 0.0, 1.0)
+    for i in range(fr.STATE_SIZE):
+        state[i] = 0.0
+    state[fr.U] = speed
+    state[fr.N_LEFT] = state[fr.N_RIGHT] = n
+    cmd = state[fr.N_LEFT :]
+    slopes_v, slopes_r = (0.0, 0.0), (0.0, 0.0)
+    for j in range(2):
+        row = fr.V if j == 0 else fr.R
+        for i in range(fr.STATE_SIZE):
+            trial[i] = state[i]
+        trial[row] = _STEP
+        ship.derivative(trial, cmd, boat, sea, air, 0.0, out)
+        v, r = out[fr.V], out[fr.R]
+        trial[row] = -_STEP
+        ship.derivative(trial, cmd, boat, sea, air, 0.0, out)
+        slope = (v - out[fr.V]) / (2.0 * _STEP), (r - out[fr.R]) / (2.0 * _STEP)
+        if j == 0:
+            slopes_v = slope
+        else:
+            slopes_r = slope
+    half = 0.5 * (slopes_v[0] + slopes_r[1])
+    determinant = slopes_v[0] * slopes_r[1] - slopes_v[1] * slopes_r[0]
+    return half + math.sqrt(max(half * half - determinant, 0.0))
+
+
+@kernel
+def drift_growth(p: Record, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray) -> float:
+    """Return the largest growth rate of drift over shaft speeds, per ship length; inf: no speed."""
+    most = -math.inf
+    for k in range(shafts.shape[0]):
+        speed = steady_speed(shafts[k], p, work[0])
+        if not speed > 0.0:
+            return math.inf
+        most = max(most, _growth(shafts[k], speed, p, sea, work) * p.length_waterline / speed)
+    return most
+
+
+@kernel
+def _accept(
+    flat: np.ndarray, shafts: np.ndarray, bounds: np.ndarray, sea: ship.Sea, work: np.ndarray
+) -> float:
+    """Return the steady speed of a drawn boat, or -1 if it is to be drawn again.
+
+    ``bounds`` (2,) are the speed of the nominal boat (m/s) and the largest growth rate of drift.
+    """
+    p = as_record(flat, par.PARAMETERS)
+    volume = p.block_coefficient * p.length_waterline * p.beam * p.draft
+    ratio = volume * p.water_density / p.mass
+    if not (ratio > 0.8 and ratio < 1.25 and p.wake_fraction < 1.0 and p.thrust_deduction < 1.0):
+        return -1.0
+    speed = steady_speed(shafts[0], p, work[0])
+    ratio = speed / bounds[0]
+    if not (ratio >= 1.0 / SPEED_FACTOR and ratio <= SPEED_FACTOR):
+        return -1.0
+    return speed if drift_growth(p, shafts, sea, work) <= bounds[1] else -1.0
+
+
+@kernel
+def _steady(flat: np.ndarray, n: float, work: np.ndarray) -> float:
+    """Do :func:`steady_speed` on flat memory."""
+    return steady_speed(n, as_record(flat, par.PARAMETERS), work[0])
+
+
+@kernel
+def _drift(flat: np.ndarray, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray) -> float:
+    """Do :func:`drift_growth` on flat memory."""
+    return drift_growth(as_record(flat, par.PARAMETERS), shafts, sea, work)
+
+
+class DrawnBoat(NamedTuple):
+    """A boat of a kind."""
+
+    vessel: Vessel
+    factors: Array
+    """Of :data:`FACTORS`: each number over that of the nominal vessel; 1 where that has none."""
+    speed: float
+    """Steady speed at the manoeuvring shaft speed in calm water, m/s."""
+
+
+class BoatClass:
+    """Boats like one vessel; see :meth:`usv_gym.Vessel.varied` for how they differ.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The nominal boat.
+    spread, built : float
+        Standard deviations of the factors of coefficients, and of geometry and inertia (a third of
+        the former if left out).
+    sides : float
+        Standard deviation of the factor of each side's thrust, with two propulsion units.
+
+    Raises
+    ------
+    VesselError
+        A standard deviation is negative or infinite.
+    """
+
+    def __init__(
+        self, vessel: Vessel, spread: float, built: float | None = None, sides: float = 0.0
+    ) -> None:
+        built = spread / 3.0 if built is None else built
+        if not (math.isfinite(spread + built + sides) and min(spread, built, sides) >= 0.0):
+            raise VesselError(
+                f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
+            )
+        self.vessel, self.spread, self.built = vessel, spread, built
+        self.sides = sides if vessel.values["units"] == 2.0 else 0.0
+        self._varies = spread + built > 0.0
+        self._sd = np.array(
+            [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
+        )
+        self._flat = np.array([vessel.packed]).view(np.float64).copy()
+        # numbers that a vessel lacks are filled in for kernels, and stay as they are
+        own = [key in vessel.values and key not in _FIXED for key in par.SCALARS]
+        self._held = ~np.array(own)
+        self._nominal = np.array(list(vessel.values.values()))
+        beam, roll = "beam", "zeta_roll"
+        same = {"hull_beam": beam, "spacing": beam, "zeta_roll_viscous": roll}
+        # what kernels do not read stays as it is: the kind stands for a factor of 1
+        self._places = [
+            par.SCALARS.index("kind" if key in _FIXED else same.get(key, key))
+            for key in vessel.values
+        ]
+        self._shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
+        self._sea, self._work = ship.calm_sea(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+        self.speed = vessel.straight_speed(float(self._shafts[0]))
+        growth = _drift(self._flat, self._shafts, self._sea, self._work) if self._varies else 0.0
+        self._bounds = np.array([self.speed, max(growth, 0.0)])
+        fields = (item.name for item in dataclasses.fields(vessel))
+        self._fields = {name: getattr(vessel, name) for name in fields}
+
+    def draw(self, rng: np.random.Generator, load: float = 1.0) -> DrawnBoat:
+        """Return a boat; equal states of ``rng`` give equal boats.
+
+        ``load`` multiplies mass, moments of inertia, added masses and draft of what was drawn.
+        VesselError: no boat could be drawn.
+        """
+        factors = np.ones(len(FACTORS))
+        if not self._varies and self.sides == 0.0 and load == 1.0:
+            return DrawnBoat(self.vessel, factors, self.speed)
+        flat, speed = self._flat, self.speed
+        if self._varies:
+            factors, flat, speed = self._draw(rng)
+        if self.sides > 0.0:
+            factors[-2:] = np.clip(1.0 + self.sides * rng.standard_normal(2), 0.1, 1.9)
+        if self.sides > 0.0 or load != 1.0:
+            factors[_LOAD_AT] *= load
+            flat = self._parameters(factors)
+            speed = float(_steady(flat, float(self._shafts[0]), self._work))
+            if not speed > 0.0:
+                raise VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
+        return DrawnBoat(self._vessel(factors, flat), factors, speed)
+
+    def _draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
+        """Return factors, flat parameters and the speed of a boat that is kept."""
+        for _ in range(TRIES):
+            drawn = np.ones(len(FACTORS))
+            normal = rng.standard_normal(self._sd.size)
+            drawn[: normal.size] = np.clip(1.0 + self._sd * normal, 0.1, 1.9)
+            factor = drawn[:_N_SCALARS]
+            factor[self._held] = 1.0
+            factor[_OVERALL] = factor[_LENGTH]
+            factor[_PLANE] = factor[_LENGTH] * factor[_BEAM]
+            flat = self._parameters(drawn)
+            speed = float(_accept(flat, self._shafts, self._bounds, self._sea, self._work))
+            if speed > 0.0:
+                return drawn, flat, speed
+        raise VesselError(
+            f"{self.vessel.name}: none of {TRIES} boats drawn with spread = {self.spread:g}, "
+            f"built = {self.built:g} holds speed and course; use smaller spreads"
+        )
+
+    def _parameters(self, factors: Array) -> Array:
+        """Return flat parameters: the nominal ones times factors."""
+        flat = self._flat.copy()
+        flat[:_N_SCALARS] *= factors[:_N_SCALARS]
+        flat[_FORCES_AT] *= factors[_N_SCALARS]
+        flat[_SPEEDS_AT] *= factors[_N_SCALARS + 1]
+        flat[_SIDES_AT] = (1.0 + flat[_SIDES_AT]) * factors[_N_SCALARS + 2 :] - 1.0
+        return flat
+
+    def _vessel(self, factors: Array, flat: Array) -> Vessel:
+        """Return the vessel of drawn numbers, which need no other check."""
+        force, speed = factors[_N_SCALARS].item(), factors[_N_SCALARS + 1].item()
+        values = (factors[self._places] * self._nominal).tolist()
+        nominal = self._fields
+        changed: dict[str, Any] = {
+            "values": MappingProxyType(dict(zip(self.vessel.values, values, strict=True))),
+            "resistance_speed": tuple(speed * v for v in nominal["resistance_speed"]),
+            "resistance_force": tuple(force * f for f in nominal["resistance_force"]),
+            "side_thrust": tuple(flat[_SIDES_AT].tolist()),
+            "packed": flat.view(par.PARAMETERS)[0],
+        }
+        vessel = object.__new__(type(self.vessel))
+        vessel.__dict__.update(nominal | changed)
+        return vessel
+
+
+assert record_size(par.PARAMETERS) == _SIDES_AT.stop
