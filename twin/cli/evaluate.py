@@ -14,8 +14,9 @@ from rich.table import Table
 from twin.agents import study
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
-from twin.agents.forecast_table import forecast_rows
+from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError, Policy
+from twin.agents.recording.video import check_video, record_video
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
     BackendOption,
@@ -75,6 +76,12 @@ def evaluate_command(
             "--log-dir", help="Write each episode there as a log, for the other commands."
         ),
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a video of the first episode, all agents side by side: .mp4 or .gif."
+        ),
+    ] = None,
     jobs: JobsOption = 1,
     backend: BackendOption = "loky",
 ) -> None:
@@ -83,22 +90,16 @@ def evaluate_command(
     In each sea state with each loss of GPS; a twin sails with every agent, seen by it or not.
 
     The distance off the path is the mean over an episode. After a failure (50 m off the path, or
-    capsized) the rest of the episode counts as 50 m.
+    capsized) the rest of the episode counts as 50 m. The time is that to a success. The forecast
+    error is that of the displacement 5 s ahead, with the commands that came.
     """
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
     chosen = {"task": task, "twin": twin, "vessel": vessel}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in _agents(model)]
     same = _trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
-    heads = ("agent", "sea", *outages)
-    table = new_table(
-        f"task {same['task']}: distance off the path, m; median [95 % interval], share of "
-        "failures; mean return",
-        *heads,
-        left=heads,
-    )
-    for column in table.columns:
-        column.no_wrap = column.header == "sea"
+    if video is not None:
+        check_video(video, len(agents))
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:
         log_dir.mkdir(parents=True, exist_ok=True)
@@ -116,17 +117,14 @@ def evaluate_command(
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     labels = _labels([model for model, _agent in agents])
-    for model in labels:
-        for state in seas:
-            groups = [
-                [row for row in found if (row["model"], row["sea"], row["faults"]) == key]
-                for key in ((model, state, loss) for loss in outages)
-            ]
-            table.add_row(labels[model], state, *map(_median, groups))
-    console.print(table)
+    console.print(_episodes(labels, found, same["task"]))
     console.print(_forecasts(labels, found, same["twin"]))
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
+    if video is not None:
+        first = {"seed": where["seeds"][0], "sea": seas[0], "faults": outages[0]}
+        frames = record_video(video, [agent for _model, agent in agents], **first, **same)
+        console.print(f"video of seed {first['seed']}, {frames} frames: {video}")
     if json_file is not None:
         write_json(json_file, found)
         console.print(f"every episode: {json_file}")
@@ -210,14 +208,51 @@ def _forecasts(labels: dict[str, str], found: list[dict[str, Any]], twin: str) -
     return table
 
 
-def _median(rows: list[dict[str, Any]]) -> str:
-    """Return the median distance off the path, its interval, how many failed, and the return."""
-    distance = np.array([row["off_path_m"] for row in rows])
-    failed = sum(row["failed"] for row in rows) / len(rows)
-    share = f" {failed:.0%}" if failed else ""
-    total = f"return {np.mean([row['return'] for row in rows]):.0f}"
-    if len(rows) < INTERVAL_MIN:
-        return f"{np.median(distance):.2f}{share}\n{total}"
-    samples = np.random.default_rng(0).choice(distance, (study.REPLICATES, len(distance)))
+def _episodes(labels: dict[str, str], found: list[dict[str, Any]], task: str) -> Table:
+    """Return the table of how the agents did, a line for each sea state and loss."""
+    heads = ("agent", "sea", "loss", "off path,\nm", "success", "failed", "time,\ns")
+    heads = (*heads, "return", "forecast\nerror, m")
+    title = f"task {task}: median distance off the path [95 % interval], and means"
+    table = new_table(title, *heads, left=heads[:3])
+    table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in found:
+        groups.setdefault((row["model"], row["sea"], row["faults"]), []).append(row)
+    for (model, sea, loss), rows in groups.items():
+        table.add_row(labels[model], sea, loss, *_cells(rows))
+    return table
+
+
+def _cells(rows: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Return distance off the path, success, failures, time, return and forecast error."""
+    times = [row["length_s"] for row in rows if row["success"]]
+    return (
+        _median([row["off_path_m"] for row in rows]),
+        f"{np.mean([row['success'] for row in rows]):.0%}",
+        f"{np.mean([row['failed'] for row in rows]):.0%}",
+        f"{np.mean(times):.0f}" if times else "-",
+        f"{np.mean([row['return'] for row in rows]):.0f}",
+        _forecast_error([row["twin_forecast"] for row in rows]),
+    )
+
+
+def _median(distances: list[float]) -> str:
+    """Return the median and its interval."""
+    median = f"{np.median(distances):.2f}"
+    if len(distances) < INTERVAL_MIN:
+        return median
+    samples = np.random.default_rng(0).choice(distances, (study.REPLICATES, len(distances)))
     low, high = study.interval(np.median(samples, axis=1))
-    return f"{np.median(distance):.2f}\n[{low:.2f}, {high:.2f}]{share}\n{total}"
+    return f"{median} [{low:.2f}, {high:.2f}]"
+
+
+def _forecast_error(episodes: list[dict[str, float]]) -> str:
+    """Return the mean error of the displacement 5 s ahead, with and without a loss, m."""
+    scores = mean_scores(episodes)
+    parts = [
+        (scores[f"n{place}"], scores[f"known{place}_5s_displacement_m"])
+        for place in ("", "_loss")
+        if scores[f"n{place}"]
+    ]
+    count = sum(part[0] for part in parts)
+    return f"{sum(n * error for n, error in parts) / count:.2f}" if count else "-"
