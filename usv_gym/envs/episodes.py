@@ -479,10 +479,11 @@ class Episodes:
             Its first observation is written there.
         """
         # a last child for what differs between episodes: without any, nothing else is drawn
-        for_simulation, for_task, *others = rng.spawn(2 + self.worlds.active)
-        draw = self.worlds.draw(others[0]) if others else None
-        worlds = [draw.world] if draw else None
-        self.simulation.reset([i], [for_simulation], worlds=worlds)
+        seed: Any = rng.bit_generator.seed_seq
+        for_simulation, *others = seed.spawn(2 + self.worlds.active)
+        for_task, *for_world = (np.random.default_rng(one) for one in others)
+        draw = self.worlds.draw(for_world[0]) if for_world else None
+        self.simulation.begin(i, for_simulation, draw.world if draw else None)
         self.worlds.note(i, draw, self.simulation)
         self.records[i] = 0.0
         number = draw.kind if draw else 0

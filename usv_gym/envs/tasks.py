@@ -383,8 +383,9 @@ class StationKeeping(Task):
 
 def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Return way points (K + 1, 2) in m from the origin, by courses in rad and lengths in m."""
-    legs = lengths[:, None] * np.stack([np.cos(courses), np.sin(courses)], axis=1)
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(legs, axis=0)])
+    points = np.zeros((len(courses) + 1, 2))
+    points[1:, 0], points[1:, 1] = lengths * np.cos(courses), lengths * np.sin(courses)
+    return points.cumsum(axis=0)
 
 
 TASKS: dict[str, type[Task]] = {

@@ -175,6 +175,8 @@ def faults_of(config: EnvConfig) -> tuple[Any, int]:
         texts = faults.split("|")
         # a wrong name fails here, not at the first reset
         named = [parse_faults(one, 0.0) for one in texts]
+        if not any(named):
+            return (), 0
         most = max(len(fault_records(one, dt)) for one in named)
         _warn_of([fault for one in named for fault in one], config)
 

@@ -68,6 +68,17 @@ def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return c_x * fade, np.minimum(c_y, 1.0) * fade, c_n * fade
 
 
+@kernel
+def drift_limited(ratio: float) -> tuple[float, float, float]:
+    """Return what :func:`drift_coefficients_limited` does, of one ratio."""
+    fade = math.cos(0.5 * math.pi * min(max((ratio - 1.0) / 0.3, 0.0), 1.0)) ** 2
+    x = min(max(ratio, 0.2), 1.0)
+    c_x = 0.05 + x * (-0.2 + x * (0.75 - 0.51 * x))
+    c_y = 0.46 + x * (6.83 + x * (-15.65 + 8.44 * x))
+    c_n = -0.11 + x * (0.68 + x * (-0.79 + 0.21 * x))
+    return c_x * fade, min(c_y, 1.0) * fade, c_n * fade
+
+
 def reflected_by_draft(k: np.ndarray, draft: float) -> np.ndarray:
     """Return the share of a wave's energy that a vertical wall as deep as the draft reflects.
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usv_gym.hydro.table import between
+from usv_gym.hydro.table import HydroTable, between
 from usv_gym.physics import GRAVITY, ship, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.jit import kernel
 from usv_kernel.records import Record
+from usv_kernel.scalar import sincos
 
 __all__ = ["Sea", "drift_sums", "drift_table", "load_rows", "wave_rows"]
 
@@ -37,14 +40,31 @@ def wave_rows(
     omega, amplitude, north, east, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
     )
-    k = omega**2 / GRAVITY
-    rho_g, draft = vessel.values["water_density"] * GRAVITY, vessel.values["draft"]
-    rows = np.zeros((waves.WAVE_ROWS, len(k)))
+    rows = np.empty((waves.WAVE_ROWS, len(omega)))
     rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
-    rows[waves.K_NORTH], rows[waves.K_EAST] = k * north, k * east
-    rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
-    rows[waves.BOTTOM] = k * np.exp(-k * draft) / -np.expm1(-k * draft)
+    rows[waves.K_NORTH], rows[waves.K_EAST] = north, east
+    return complete_rows(vessel, rows)
+
+
+def complete_rows(vessel: Vessel, rows: Array) -> Array:
+    """Complete wave components (7, M) in place, of which the unit vectors stand for wave numbers.
+
+    See :func:`wave_rows`.
+    """
+    _fill_rows(rows, vessel.values["water_density"] * GRAVITY, vessel.values["draft"])
     return rows
+
+
+@kernel
+def _fill_rows(rows: np.ndarray, rho_g: float, draft: float) -> None:
+    """Complete wave components (7, M), of which the directions stand in place of the numbers."""
+    for i in range(rows.shape[1]):
+        k = rows[waves.OMEGA, i] ** 2 / GRAVITY
+        fall = -math.expm1(-k * draft)
+        rows[waves.K_NORTH, i] *= k
+        rows[waves.K_EAST, i] *= k
+        rows[waves.PRESSURE, i] = rho_g * rows[waves.AMPLITUDE, i] * fall / k
+        rows[waves.BOTTOM, i] = k * math.exp(-k * draft) / fall
 
 
 def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
@@ -53,17 +73,30 @@ def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Arr
     ``omega`` (M,) in rad/s, ``amplitude`` (M,) in m; the waves go ``to`` (M,), rad. Length and
     number of hulls, with their draft, decide which waves are reflected.
     """
-    k, L = omega**2 / GRAVITY, vessel.values["length_waterline"]
-    coefficients = waves.drift_coefficients_limited(2.0 * math.pi / (k * L))
+    L, sums = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
+    share = np.ones(len(omega))
     if vessel.two_hulls:  # waves pass below shallow pontoons
-        c_x, c_y, c_n = coefficients
-        share = waves.reflected_by_draft(k, vessel.values["draft"])
-        coefficients = c_x, share * c_y, share * c_n
-    rho_g, sums = vessel.values["water_density"] * GRAVITY, np.zeros(waves.DRIFT_SUMS)
-    for i, c in enumerate(coefficients):
-        load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
-        sums[2 * i : 2 * i + 2] = np.sum(load * np.cos(to)), np.sum(load * np.sin(to))
-    return sums
+        share = waves.reflected_by_draft(omega**2 / GRAVITY, vessel.values["draft"])
+    _sum_regression(np.stack([omega, amplitude, to, share]), L, sums)
+    return vessel.values["water_density"] * GRAVITY * sums
+
+
+@kernel
+def _sum_regression(given: np.ndarray, L: float, sums: np.ndarray) -> None:
+    """Add what each wave adds to the sums (6,), over the weight of water.
+
+    The rows ``given`` (4, M) are frequencies, amplitudes, directions and reflected shares.
+    """
+    for i in range(given.shape[1]):
+        omega, amplitude = given[0, i], given[1, i]
+        sine, cosine = sincos(given[2, i])
+        coefficients = waves.drift_limited(2.0 * math.pi * GRAVITY / (omega * omega * L))
+        for j in range(3):
+            share = 1.0 if j == 0 else given[3, i]
+            load = 0.5 * L * share * coefficients[j] * amplitude * amplitude
+            load *= 1.0 if j < 2 else L
+            sums[2 * j] += load * cosine
+            sums[2 * j + 1] += load * sine
 
 
 _HEAVE, _PITCH = 2, 4
@@ -113,10 +146,81 @@ def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Ar
         return None
     scale = vessel.values["length_waterline"] / table.length
     points = table.omega / math.sqrt(scale)
-    drift = between(omega, points, table.around(table.drift) * scale ** np.array([1.0, 1.0, 2.0]))
+    values = _drift_around(table)
+    power = scale ** np.array([1.0, 1.0, 2.0])
+    if np.ptp(to) == 0.0:
+        total, out = np.zeros(values.shape[1:]), np.zeros((waves.LOAD_HEADINGS, 3))
+        _sum_drift(np.stack([omega, amplitude]), points, values, np.zeros(len(points)), total)
+        _turn(total, to.item(0), out)
+        return out * power
+    drift = between(omega, points, values)
     # longer waves pass by
     drift = drift * np.minimum(omega / points[0], 1.0)[:, None, None] ** 4
-    return np.asarray(np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0))
+    return power * np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0)
+
+
+@functools.lru_cache(maxsize=32)
+def _drift_around(table: HydroTable) -> Array:
+    """Return the drift (F, K, 3) of a table on a full circle."""
+    assert table.drift is not None
+    return np.ascontiguousarray(table.around(table.drift), dtype=float)
+
+
+@kernel
+def _sum_drift(
+    given: np.ndarray, points: np.ndarray, values: np.ndarray, shares: np.ndarray, out: np.ndarray
+) -> None:
+    """Add the drift of waves that go the same way to ``out`` (K, 3), at headings off theirs.
+
+    ``shares`` (F,) are zeros: they become how much of each point's drift there is.
+
+    The rows ``given`` (2, M) are frequencies and amplitudes. ``values`` (F, K, 3) are interpolated
+    between ``points`` (F,) as :func:`usv_gym.hydro.table.between` does.
+    """
+    last = points.shape[0] - 1
+    first = 0
+    for m in range(given.shape[1]):
+        omega, weight = given[0, m], given[1, m] ** 2
+        # longer waves pass by
+        weight *= min(omega / points[0], 1.0) ** 4
+        x = min(max(omega, points[0]), points[last])
+        while first > 0 and points[first + 1] >= x:
+            first -= 1
+        while first < last - 3 and points[first + 2] < x:
+            first += 1
+        for i in range(4):
+            part = weight
+            for j in range(4):
+                if i != j:
+                    distance = points[first + i] - points[first + j]
+                    part *= (x - points[first + j]) / distance
+            shares[first + i] += part
+    for f in range(points.shape[0]):
+        for k in range(out.shape[0]):
+            for n in range(3):
+                out[k, n] += shares[f] * values[f, k, n]
+
+
+@kernel
+def _turn(values: np.ndarray, to: float, out: np.ndarray) -> None:
+    """Add values (K, 3) at even headings of the wave at even headings (H, 3) of the boat.
+
+    See :func:`_turned`, for one wave and real numbers.
+    """
+    K, H = values.shape[0], out.shape[0]
+    for n in range(K // 2 + 1):
+        weight = (1.0 if n == 0 or 2 * n == K else 2.0) / K
+        s_0, c_0, s_1, c_1, s_2, c_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(K):
+            s, c = sincos(2.0 * math.pi * ((n * k) % K) / K)
+            s_0, c_0 = s_0 + s * values[k, 0], c_0 + c * values[k, 0]
+            s_1, c_1 = s_1 + s * values[k, 1], c_1 + c * values[k, 1]
+            s_2, c_2 = s_2 + s * values[k, 2], c_2 + c * values[k, 2]
+        for h in range(H):
+            s, c = sincos(n * (to - 2.0 * math.pi * h / H))
+            out[h, 0] += weight * (c * c_0 + s * s_0)
+            out[h, 1] += weight * (c * c_1 + s * s_1)
+            out[h, 2] += weight * (c * c_2 + s * s_2)
 
 
 def _beyond(omega: Array, points: Array) -> Array:

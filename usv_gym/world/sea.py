@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.realisation import Sea, drift_sums, drift_table, wave_rows
+from usv_gym.world.realisation import Sea, complete_rows, drift_sums, drift_table
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
 
@@ -40,7 +40,8 @@ GUSTS = (*spectra.GUST_SPECTRA, "none")
 
 GUST_COMPONENTS = 32
 
-_GUST_BAND_HZ = (1.0 / 600.0, 0.5)
+_GUST_EDGES_HZ = np.geomspace(1.0 / 600.0, 0.5, GUST_COMPONENTS + 1)
+_GUST_WIDTHS_HZ = np.diff(_GUST_EDGES_HZ)
 
 # shares of the energy between which random frequencies lie; the tail beyond would thin them
 _BAND = np.array([0.001, 0.999])
@@ -339,9 +340,7 @@ class SeaState:
             weather["wind_from"][i] = self._wind_from(keyframe) + turn
         waves_to = self.waves_to + (turn if self.wave_to is None else 0.0)
         if self.hs > 0.0:
-            omega, amplitude, aside = self._drift_waves
-            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, waves_to + aside)
-            drift = drift_table(vessel, omega, amplitude, waves_to + aside)
+            weather["drift_sums"], drift = self._drift(vessel, waves_to)
             if drift is not None:
                 weather["drift_table"], weather["drift_tabled"] = drift, 1.0
         components, gusts = self._waves(vessel, rng_waves, waves_to), self._gusts(rng_gusts)
@@ -354,6 +353,16 @@ class SeaState:
             return self.wave_to
         highest = max(self.schedule, key=lambda keyframe: keyframe.hs, default=None)
         return math.pi + (self.wind_from if highest is None else self._wind_from(highest))
+
+    def _drift(self, vessel: Vessel, to: float) -> tuple[Array, Array | None]:
+        """Return the mean drift of waves that go ``to``, rad; that of the last vessel is kept."""
+        kept = self.__dict__.get("_last_drift")
+        if kept is None or kept[0] is not vessel or kept[1] != to:
+            omega, amplitude, aside = self._drift_waves
+            sums = drift_sums(vessel, omega, amplitude, to + aside)
+            kept = vessel, to, sums, drift_table(vessel, omega, amplitude, to + aside)
+            self.__dict__["_last_drift"] = kept
+        return kept[2], kept[3]
 
     @cached_property
     def _drift_waves(self) -> tuple[Array, Array, Array]:
@@ -408,24 +417,28 @@ class SeaState:
         """Draw the wave components of waves that go ``to``, rad."""
         if self.hs == 0.0:
             return np.zeros((waves.WAVE_ROWS, 0))
-        omega, amplitude = self._components(rng)
-        M = len(omega)
-        phase, aside = rng.uniform(0.0, 2.0 * math.pi, M), np.zeros(M)
-        if self.spreading is not None:
+        rows = np.empty((waves.WAVE_ROWS, self.components))
+        rows[waves.OMEGA], rows[waves.AMPLITUDE] = self._components(rng)
+        M = self.components
+        rows[waves.PHASE] = rng.uniform(0.0, 2.0 * math.pi, M)
+        if self.spreading is None:
+            rows[waves.K_NORTH], rows[waves.K_EAST] = math.cos(to), math.sin(to)
+        else:
             # one direction at random in each of M bins of equal energy, dealt to the frequencies
             aside = self._aside((rng.permutation(M) + rng.random(M)) / M)
-        north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)
-        east = math.sin(to) * np.cos(aside) + math.cos(to) * np.sin(aside)
-        return wave_rows(vessel, omega, amplitude, north, east, phase)
+            rows[waves.K_NORTH], rows[waves.K_EAST] = np.cos(to + aside), np.sin(to + aside)
+        return complete_rows(vessel, rows)
 
     def _gusts(self, rng: np.random.Generator) -> Array:
         if self.wind == 0.0 or self.gusts == "none":
             return np.zeros((3, 0))
-        edges = np.geomspace(*_GUST_BAND_HZ, GUST_COMPONENTS + 1)
-        f = edges[:-1] + rng.random(GUST_COMPONENTS) * np.diff(edges)
+        f = _GUST_EDGES_HZ[:-1] + rng.random(GUST_COMPONENTS) * _GUST_WIDTHS_HZ
         spectrum = spectra.GUST_SPECTRA[self.gusts](f, self.wind)
         phases = rng.uniform(0.0, 2.0 * math.pi, GUST_COMPONENTS)
-        return np.stack([2.0 * math.pi * f, phases, np.sqrt(2.0 * spectrum * np.diff(edges))])
+        gusts = np.empty((3, GUST_COMPONENTS))
+        gusts[0], gusts[1] = 2.0 * math.pi * f, phases
+        gusts[2] = np.sqrt(2.0 * spectrum * _GUST_WIDTHS_HZ)
+        return gusts
 
 
 def _check(name: str, value: object, where: str = "", *, optional: bool = False) -> None:

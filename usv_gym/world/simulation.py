@@ -21,6 +21,7 @@ from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
+from usv_gym.world.streams import BoatStreams
 from usv_kernel.arrays import shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import inlined, kernel
@@ -63,6 +64,9 @@ _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
 BLOCK_STEPS = 512, 32
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
+
+
+_COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
 
 
 class SimulationError(UsvTwinError):
@@ -150,10 +154,25 @@ def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> i
 
 
 @kernel
-def _start(row: np.ndarray, config: Record) -> None:
-    """Draw the slow wind of a boat, and let its sensors begin."""
-    boat = as_record(row, BOAT)
+def _start(row: np.ndarray, shared: np.ndarray, state: np.ndarray, factors: np.ndarray) -> None:
+    """Put a boat to its start with a state (16,), draw its slow wind, and let its sensors begin.
+
+    With six degrees of freedom it is set on the surface of its sea.
+    """
+    boat, config = as_record(row, BOAT), as_record(shared, SIMULATION)
     numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
+    boat.t = boat.step = 0.0
+    for i in range(fr.STATE_SIZE):
+        boat.state[i] = state[i]
+        boat.mean_rate[i] = 0.0
+        for j in range(ship.WORK_ROWS):
+            boat.work[j, i] = 0.0
+    for i in range(fr.COMMAND_SIZE):
+        boat.command[i] = state[fr.N_LEFT + i]
+    delay_line[:] = 0.0
+    wind_line[:] = 0.0
+    if config.dof == 6:
+        float_on_sea(row, config, factors)
     now = numbers[0]
     wx.advance_slow_wind(boat.weather, math.inf, now[now.size - 2], now[now.size - 1])
     more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
@@ -169,7 +188,7 @@ def _start(row: np.ndarray, config: Record) -> None:
 
 
 @kernel
-def _float(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
+def float_on_sea(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     """Set a boat on the surface of its sea."""
     boat = as_record(row, BOAT)
     waves, gusts, loads = sea_arrays(row, config)
@@ -322,6 +341,9 @@ class Simulation:
             self.boats["weather"],
             self.boats["t"],
         )
+        several, wind = len(self.seas) > 1, suite.has_anemometer
+        self._streams = BoatStreams(sea=several, motion=dof == 6, wind=wind, faults=bool(faults))
+        self._noise_until = self.boats["noise_until"]
         self.z[:] = math.nan
         self.faults["start"] = math.nan
         shared = np.zeros(1, SIMULATION)
@@ -345,7 +367,10 @@ class Simulation:
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
         """Scratch of the kernels that advance boats; threads need copies."""
-        self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
+        self._motion_numbers = motion_at, motion_numbers
+        self._wind_numbers = motion_at + motion_numbers, wind_numbers
+        none: tuple[dict[str, np.random.Generator], list[np.random.Generator]] = {}, []
+        self._noise_rngs = [none] * n
         self._not_reset = set(range(n))
         n_start = vessel.values["shaft_speed_manoeuvring"]
         self._default_start = vessel.straight_speed(n_start), n_start
@@ -390,8 +415,8 @@ class Simulation:
         """
         start = self._initial_state(speed, heading, at)
         boats, rngs = list(boats), list(rngs)
-        nominal = World(self.vessel, self._default_start[0], heading)
-        worlds = [nominal] * len(boats) if worlds is None else worlds
+        if worlds is None:
+            worlds = [World(self.vessel, self._default_start[0], heading)] * len(boats)
         if len(boats) != len(rngs) or not set(boats) <= set(range(self.n)):
             raise SimulationError(
                 f"reset of boats {boats} with {len(rngs)} generator(s): boats count from 0 to "
@@ -403,46 +428,55 @@ class Simulation:
                     f"{rng!r} is no generator; use numpy.random.default_rng(seed)"
                 )
         for i, rng, world in zip(boats, rngs, worlds, strict=True):
-            self._not_reset.discard(i)
-            if self.vessels[i] is not world.vessel:
-                self.vessels[i] = world.vessel
-                self.boats[i]["vessel"] = world.vessel.packed
-            # a last child for the anemometer: without one, nothing else is drawn
-            children = rng.spawn(8 + self.suite.has_anemometer)
-            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = children
-            rng_faults, rng_sea, rng_motion, *rngs_wind = others
-            state = choice(self.seas, rng_sea)
-            self.drawn_seas[i] = state
-            sea = state.realise(
-                world.vessel, rng_waves, rng_gusts, wind_from=world.wind_from, current=world.current
-            )
-            self._fill(i, sea)
-            # a child: with or without gusts, the slow wind is the same
-            (rng_weather,) = rng_gusts.spawn(1)
-            given = self._given_faults
-            faults = tuple(given(rng_faults) if callable(given) else given)
-            self.drawn_faults[i] = faults
+            state = start.copy()
+            state[fr.PSI] = world.heading
+            if speed is None:
+                state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
+            self._begin(int(i), self._streams.spawned(rng), world, state)
+
+    def begin(self, i: int, seed: np.random.SeedSequence, world: World | None = None) -> None:
+        """Put boat i to its start, as :meth:`reset` does with ``default_rng(seed)``.
+
+        ``seed`` is one that nothing was spawned from, and nothing else is to be. ``world`` is what
+        differs from boat to boat.
+        """
+        world = world or World(self.vessel, self._default_start[0])
+        state = np.zeros(fr.STATE_SIZE)
+        state[fr.PSI] = world.heading
+        state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
+        self._begin(i, self._streams.of(seed), world, state)
+
+    def _start_of(self, world: World) -> tuple[float, float, float]:
+        """Return speed (m/s) and shaft speeds (rev/s) at the start."""
+        n = world.vessel.values["shaft_speed_manoeuvring"]
+        return world.speed, n, n
+
+    def _begin(
+        self, i: int, rngs: dict[str, np.random.Generator], world: World, state: np.ndarray
+    ) -> None:
+        """Put boat i to its start with a state (16,) and generators for what is drawn, by name."""
+        self._not_reset.discard(i)
+        if self.vessels[i] is not world.vessel:
+            self.vessels[i] = world.vessel
+            self.boats[i]["vessel"] = world.vessel.packed
+        several = len(self.seas) > 1
+        drawn = self.drawn_seas[i] = choice(self.seas, rngs["sea"]) if several else self.seas[0]
+        wind_from, current = world.wind_from, world.current
+        sea = drawn.realise(
+            world.vessel, rngs["waves"], rngs["gusts"], wind_from=wind_from, current=current
+        )
+        self._fill(i, sea)
+        given = self._given_faults
+        faults = tuple(given(rngs["faults"]) if callable(given) else given)
+        self.drawn_faults[i] = faults
+        if self.faults.shape[1]:
             self.faults[i] = 0.0
             self.faults[i]["start"] = math.nan
             self.faults[i, : len(faults)] = fault_records(faults, self.dt)
-            sources = fault_sources(faults, rng_faults)
-            always = (rng_gps, rng_compass, rng_imu, rng_motion, rng_weather)
-            self._noise_rngs[i] = (*always, *rngs_wind, *sources)
-            boat = self.boats[i]
-            boat["t"] = boat["step"] = boat["noise_until"] = 0.0
-            self._refill(int(i))
-            own = boat["state"]
-            own[:] = start
-            own[fr.PSI] = world.heading
-            if speed is None:
-                own[fr.U] = world.speed
-                own[[fr.N_LEFT, fr.N_RIGHT]] = world.vessel.values["shaft_speed_manoeuvring"]
-            boat["command"] = own[fr.N_LEFT :]
-            if self.dof == 6:
-                _float(self.rows[i], self.config, self.factors)
-            boat["mean_rate"] = boat["work"] = 0.0
-            self._delay_lines[i] = self._wind_lines[i] = 0.0
-            _start(self.rows[i], self.config)
+        self._noise_rngs[i] = rngs, fault_sources(faults, rngs["faults"]) if faults else []
+        self._noise_until[i] = 0.0
+        self._refill(i)
+        _start(self.rows[i], self.shared, state, self.factors)
 
     def _initial_state(
         self, speed: float | None, heading: float, at: tuple[float, float]
@@ -484,11 +518,11 @@ class Simulation:
                 )
         self._fill(i, new, waves=waves)
         if waves and self.dof == 6:
-            _float(self.rows[i], self.config, self.factors)
+            float_on_sea(self.rows[i], self.config, self.factors)
 
     def _fill(self, i: int, sea: Sea, *, waves: bool = True) -> None:
         """Write a sea to the arrays of boat i, or its wind alone."""
-        kept = {key: self.weather[i][key].copy() for key in _DRIFT}
+        kept = {} if waves else {key: self.weather[i][key].copy() for key in _DRIFT}
         # where seas differ in their number of components, the others are zeros
         for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
             array[i] = 0.0
@@ -539,25 +573,19 @@ class Simulation:
 
     def _refill(self, i: int) -> None:
         """Draw the next block of random numbers of one boat, each source from its generator."""
-        rng_gps, rng_compass, rng_imu, *others = self._noise_rngs[i]
-        rng_motion, rng_weather, *rngs_faults = others
-        wind = self.config["wind_numbers_at"], self.config["wind_numbers"]
-        if wind[1]:
-            rng_wind, *rngs_faults = rngs_faults
+        rngs, rngs_faults = self._noise_rngs[i]
+        wind, motion = self._wind_numbers, self._motion_numbers
         numbers, rows = self._numbers[i], self._block
-        gps = field_at(sensors.NOISE, "compass")
-        imu = field_at(sensors.NOISE, "gyro")
-        faults = sensors.NOISE_SIZE
-        numbers[:, :gps] = rng_gps.standard_normal((rows, gps))
-        numbers[:, gps:imu] = rng_compass.standard_normal((rows, imu - gps))
-        numbers[:, imu:faults] = rng_imu.standard_normal((rows, faults - imu))
+        gps, imu, faults = _COMPASS_AT, _GYRO_AT, sensors.NOISE_SIZE
+        numbers[:, :gps] = rngs["gps"].standard_normal((rows, gps))
+        numbers[:, gps:imu] = rngs["compass"].standard_normal((rows, imu - gps))
+        numbers[:, imu:faults] = rngs["imu"].standard_normal((rows, faults - imu))
         for j, rng in enumerate(rngs_faults):
             first = faults + FAULT_NUMBERS * j
             numbers[:, first : first + FAULT_NUMBERS] = rng.random((rows, FAULT_NUMBERS))
-        motion = self.config["motion_numbers_at"], self.config["motion_numbers"]
         if motion[1]:
-            numbers[:, motion[0] : sum(motion)] = rng_motion.standard_normal((rows, motion[1]))
+            numbers[:, motion[0] : sum(motion)] = rngs["motion"].standard_normal((rows, motion[1]))
         if wind[1]:
-            numbers[:, wind[0] : sum(wind)] = rng_wind.standard_normal((rows, wind[1]))
-        numbers[:, -wx.NOISE_SIZE :] = rng_weather.standard_normal((rows, wx.NOISE_SIZE))
-        self.boats["noise_until"][i] += rows
+            numbers[:, wind[0] : sum(wind)] = rngs["wind"].standard_normal((rows, wind[1]))
+        numbers[:, -wx.NOISE_SIZE :] = rngs["weather"].standard_normal((rows, wx.NOISE_SIZE))
+        self._noise_until[i] += rows
