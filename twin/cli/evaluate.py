@@ -96,8 +96,8 @@ def evaluate_command(
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
     chosen = {"task": task, "twin": twin, "vessel": vessel}
     given = {key: value for key, value in chosen.items() if value is not None}
-    agents = [agent for model in models for agent in _agents(model)]
-    same = _trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
+    agents = [agent for model in models for agent in agents_named(model)]
+    same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     if video is not None:
         check_video(video, len(agents))
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
@@ -130,7 +130,7 @@ def evaluate_command(
         console.print(f"every episode: {json_file}")
 
 
-def _agents(model: str) -> list[tuple[str, Agent]]:
+def agents_named(model: str) -> list[tuple[str, Agent]]:
     """Return the agents that a name stands for, each with its label."""
     path = Path(model)
     if path.is_dir():
@@ -160,7 +160,7 @@ def _agents(model: str) -> list[tuple[str, Agent]]:
     )
 
 
-def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
+def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
     """Return the environment options of the training, overridden by those given."""
     options = Plan("ppo", "raw", 1).environment | given
     for name in ("task", "twin", "vessel", "frame_skip", "max_episode_steps"):
@@ -210,8 +210,8 @@ def _forecasts(labels: dict[str, str], found: list[dict[str, Any]], twin: str) -
 
 def _episodes(labels: dict[str, str], found: list[dict[str, Any]], task: str) -> Table:
     """Return the table of how the agents did, a line for each sea state and loss."""
-    heads = ("agent", "sea", "loss", "off path,\nm", "success", "failed", "time,\ns")
-    heads = (*heads, "return", "forecast\nerror, m")
+    means = ("success", "failed", "time,\ns", "return", "forecast\nerror, m")
+    heads = ("agent", "sea", "loss", "off path,\nm", *means)
     title = f"task {task}: median distance off the path [95 % interval], and means"
     table = new_table(title, *heads, left=heads[:3])
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +124,7 @@ def record_video(
 
 def _frames(
     agent: Agent, seed: int, size: tuple[int, int], options: dict[str, Any]
-) -> Iterator[Frame]:
+) -> Generator[Frame, None, None]:
     """Yield pictures of an episode: one at its start, and one after each decision."""
     named = {"frame_skip": FRAME_SKIP, **options}
     envs = make_envs(
@@ -140,8 +140,8 @@ def _frames(
             yield np.vstack([title, pictures[0]])
             if over:
                 return
-            obs, *rest = envs.step(agent.act(obs))
-            over = bool(rest[1][0] or rest[2][0])
+            step = envs.step(agent.act(obs))
+            obs, over = step[0], bool(step[2][0] or step[3][0])
     finally:
         envs.close()
 
