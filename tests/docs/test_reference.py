@@ -12,6 +12,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
 from twin.health.state import SENSORS, STATUSES
 from twin.logs.columns import UNITS
 from twin.predictors.registry import PREDICTORS
+from twin.sim.compact import COMPACT, COMPACT_PARAMS
 from twin.sim.wrapper import make_env
 from usv_gym.envs.tasks import TASKS
 
@@ -30,6 +31,21 @@ def test_observation_table_names_every_entry_in_order():
     assert [int(row[0]) for row in rows] == [*range(len(single)), *range(len(block))]
     assert not [row for row in rows if "above" in row[3] or not row[3].strip()]
     env.close()
+
+
+def test_compact_table_states_every_entry_and_scale():
+    rows = re.findall(
+        r"^\| `(compact_\w+)` \| ([^|]*) \| ([^|]*) \| ([^|]*) \|", PAGE, flags=re.MULTILINE
+    )
+    assert [row[0] for row in rows] == [one.name for one in COMPACT]
+    for one, (_, source, offset, scale) in zip(COMPACT, rows, strict=True):
+        if not one.near:
+            assert f"`{one.source}`" in source
+            assert offset.split(";")[0].strip() == f"{one.offset:g}"
+            assert scale.split(";")[0].strip().split(" ")[0] == f"{one.scale:g}"
+    for one in COMPACT_PARAMS[len(COMPACT) :]:
+        role = one.name.removeprefix("compact_xi_").removeprefix("compact_sd_")
+        assert role in PAGE, role
 
 
 def test_health_table_names_every_entry_in_order():

@@ -161,6 +161,7 @@ def verdicts(results: Mapping[str, Any]) -> list[str]:
 COLOURS = {
     "raw": "#c0392b", "raw_stacked": "#e08e0b", "twin": "#1f6fb4", "twin_params": "#6a3d9a",
     "twin_health": "#b0568f", "twin_attitude": "#1a9c9c", "oracle": "#2e8b57",
+    "compact": "#17395c", "compact_params": "#3d1f5c",
 }  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,12 +18,14 @@ from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver
 from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
+from twin.sim.compact import COMPACT_SETS, set_of
 from twin.sim.mixed_twins import MixedTwins, observer_of
 from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.observation import OBSERVERS
+from usv_gym.envs.selection import Scaled, with_selection
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
 from usv_kernel.files import write_whole
@@ -203,7 +205,7 @@ class USVTwinEnv(USVEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
-        observation: str = "twin",
+        observation: str | Sequence[str] = "twin",
         forecast_scores: bool = True,
         **kwargs: Any,
     ) -> None:
@@ -239,7 +241,7 @@ class USVTwinVectorEnv(USVVectorEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
-        observation: str = "twin",
+        observation: str | Sequence[str] = "twin",
         forecast_scores: bool = True,
         **kwargs: Any,
     ) -> None:
@@ -259,23 +261,42 @@ def _watching(
     particulars: Particulars | None,
     band_period: float,
     seed: int,
-    observation: str,
+    observation: str | Sequence[str],
     forecast_scores: bool,
 ) -> Callable[[Episodes], Observer]:
     """Return what makes the twins of an environment's boats; of other sets, twins beside them."""
-    if observation in TWIN_SETS:
-        return lambda episodes: observer_of(
-            episodes, twin, particulars, band_period, seed, observation, forecast_scores
-        )
-    return lambda episodes: UnseenTwins(
-        episodes,
-        OBSERVERS[observation],
-        observer_of(episodes, twin, particulars, band_period, seed),
-    )
+    name, wanted = resolved(observation)
+
+    def made(episodes: Episodes) -> Observer:
+        if name in TWIN_SETS:
+            return observer_of(
+                episodes, twin, particulars, band_period, seed, name, forecast_scores
+            )
+        unseen = observer_of(episodes, twin, particulars, band_period, seed)
+        return UnseenTwins(episodes, OBSERVERS[name], unseen)
+
+    return with_selection(made, wanted) if wanted is not None else made
 
 
-OBSERVATIONS = (*OBSERVERS, *TWIN_SETS)
+OBSERVATIONS = (*OBSERVERS, *TWIN_SETS, *COMPACT_SETS)
 """Names of the observation sets."""
+
+
+def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scaled] | None]:
+    """Return the set that an observation is made of, and what of it is shown; None: all of it.
+
+    UsvTwinError: there is no such set, or no set has all the entries.
+    """
+    if isinstance(observation, str):
+        if observation in COMPACT_SETS:
+            return COMPACT_SETS[observation]
+        if observation in (*OBSERVERS, *TWIN_SETS):
+            return observation, None
+    names = isinstance(observation, Sequence) and not isinstance(observation, str)
+    if not names or not all(isinstance(name, str) for name in observation):
+        known = ", ".join(OBSERVATIONS)
+        raise UsvTwinError(f"observation = {observation!r}; known: {known}, or a list of entries")
+    return set_of(list(observation)), list(observation)
 
 
 def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:
@@ -290,7 +311,7 @@ def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:
 def _made(
     plain: Callable[..., _Env],
     with_twin: Callable[..., _Env],
-    observation: str | None,
+    observation: str | Sequence[str] | None,
     twin: str | Predictor | None,
     options: dict[str, Any],
 ) -> _Env:
@@ -300,32 +321,37 @@ def _made(
     check_options("USVTwin-v0", options, list(dict.fromkeys(known)))
     if observation is None:
         observation = "raw" if twin is None else "twin"
-    if not isinstance(observation, str) or observation not in OBSERVATIONS:
-        raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+    name, wanted = resolved(observation)
     if not isinstance(options.get("forecast_scores", True), bool):
         raise UsvTwinError(f"forecast_scores = {options['forecast_scores']!r}: True or False")
-    if observation in OBSERVERS:
+    if name in OBSERVERS:
         if options.get("forecast_scores") and twin is not None:
             return with_twin(twin=twin, observation=observation, **options)
         options.pop("forecast_scores", None)
         idle = [name for name in options if name in of_twin and name not in own]
         if idle:
             raise ArgumentError(f"{', '.join(idle)}: observation = {observation!r} runs no twin")
-        return plain(observer=OBSERVERS[observation], **options)
+        make = OBSERVERS[name]
+        return plain(
+            observer=with_selection(make, wanted) if wanted is not None else make, **options
+        )
     if twin is None:
         raise UsvTwinError(f"observation = {observation!r} needs a twin; twin=None gives none")
     return with_twin(twin=twin, observation=observation, **options)
 
 
 def make_env(
-    *, observation: str | None = None, twin: str | Predictor | None = DEFAULT, **kwargs: Any
+    *,
+    observation: str | Sequence[str] | None = None,
+    twin: str | Predictor | None = DEFAULT,
+    **kwargs: Any,
 ) -> USVEnv:
     """Make ``USVTwin-v0``: the vessel at sea, with or without a twin.
 
     Parameters
     ----------
-    observation : str, optional
-        What the agent sees:
+    observation : str or sequence of str, optional
+        What the agent sees, by the name of a set or as a list of names of entries:
 
         - ``"raw"``: the sensors, see :class:`usv_gym.envs.env.USVEnv`;
         - ``"raw_stacked"``: the same, and behind it those of the seven decisions before;
@@ -340,6 +366,9 @@ def make_env(
           the deck stays quiet for 2, 3 and 5 s, and height, period and direction of the waves.
           Angles are in units of 10 degrees, rates in rad/s, lengths in m, speeds in m/s, the period
           in 10 s; it needs ``dof=6``;
+        - ``"compact"``: fourteen entries of the sensors and the twin, scaled to one size, for
+          agents that learn quickly; ``"compact_params"`` adds eight identified coefficients and
+          their standard deviations;
         - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
           rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
           sets.
@@ -376,7 +405,7 @@ make_env.metadata = {  # type: ignore[attr-defined]
 def make_vector_env(
     num_envs: int = 1,
     *,
-    observation: str | None = None,
+    observation: str | Sequence[str] | None = None,
     twin: str | Predictor | None = DEFAULT,
     **kwargs: Any,
 ) -> USVVectorEnv:

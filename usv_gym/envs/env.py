@@ -219,7 +219,11 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self.action_space, self.observation_space = spaces_of(
             self.episodes.width, len(self.observation_names)
         )
-        self._shape, self._obs_shape = (self.episodes.width,), (1, len(self.observation_names))
+        self._shape, self._obs_shape = (
+            (self.episodes.width,),
+            (1, full_size(self.episodes, self.observer)),
+        )
+        self._selection = self.observer.selection if self.observer else None
         self._action = self.episodes.actions[1, 0]
         self._progress = self.episodes.memory[0, : record_size(TASK)]
         self._time = self.simulation.t
@@ -263,7 +267,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._show()
         info = self._info(self._progress.tolist())
         info["drawn"] = {key: values.item(0) for key, values in self._drawn.items()}
-        return obs[0], info
+        return self._shown(obs), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail for one decision; see :meth:`gymnasium.Env.step`.
@@ -298,7 +302,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._show()
         progress = self._progress.tolist()
         terminated = progress[_TERMINATED] != 0.0
-        return obs[0], progress[_REWARD], terminated, False, self._info(progress)
+        return self._shown(obs), progress[_REWARD], terminated, False, self._info(progress)
 
     def render(self) -> Frame | None:  # type: ignore[override]
         """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
@@ -309,6 +313,10 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         """Close the window."""
         if self.renderer:
             self.renderer.close()
+
+    def _shown(self, obs: np.ndarray) -> np.ndarray:
+        """Return what the agent sees of the full observation (1, D)."""
+        return self._selection.pick(obs)[0] if self._selection else obs[0]
 
     def _show(self) -> None:
         if self.renderer and not self.renderer.waits:
@@ -331,7 +339,14 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
 
 def names_of(episodes: Episodes, observer: Observer | None) -> tuple[str, ...]:
     """Return what each entry of the observation is."""
+    if observer and observer.selection:
+        return observer.selection.names
     return episodes.observation + (observer.names if observer else ())
+
+
+def full_size(episodes: Episodes, observer: Observer | None) -> int:
+    """Return how many entries there are, shown or not."""
+    return len(episodes.observation) + (len(observer.names) if observer else 0)
 
 
 def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:

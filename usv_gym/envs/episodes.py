@@ -144,6 +144,15 @@ EPISODES = np.dtype(
 _ALL = slice(None)
 
 
+class Selection(Protocol):
+    """What of an observation is shown; see :mod:`usv_gym.envs.selection`."""
+
+    names: tuple[str, ...]
+
+    def pick(self, full: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what is shown (n, d) of the observations (n, D) of all boats."""
+
+
 class CapsizeWarning(UserWarning):
     """The vessel will capsize in this sea, as far as a minute of it shows."""
 
@@ -305,9 +314,12 @@ class Observer(ABC):
     ----------
     names : tuple of str
         What it adds.
+    selection : Selection or None
+        What of all entries is shown; None for all.
     """
 
     names: tuple[str, ...]
+    selection: Selection | None = None
 
     @abstractmethod
     def reset(self, i: int) -> None:

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.env import Recorder, names_of, spaces_of
+from usv_gym.envs.env import Recorder, full_size, names_of, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.world.simulation import BOATS_MAX
@@ -123,7 +123,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._rngs: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
-        self._obs = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
+        size = full_size(self.episodes, self.observer)
+        self._obs = np.zeros((self.num_envs, size), np.float32)
+        self._selection = self.observer.selection if self.observer else None
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         # steps after which each boat's episode is truncated
         self._limit = (max_episode_steps or math.inf) * self.frame_skip
@@ -216,7 +218,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()
-        return self._obs.copy(), self._infos(mask) | self._drawn(mask)
+        return self._shown(), self._infos(mask) | self._drawn(mask)
 
     def _restart(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
@@ -286,8 +288,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos = self._infos(None) | self._drawn(late)
         if mode == AutoresetMode.SAME_STEP and over.any():
             final = np.full(self.num_envs, None, dtype=object)
+            shown = self._shown()
             for i in np.flatnonzero(over):
-                final[i] = self._obs[i].copy()
+                final[i] = shown[i].copy()
             ended = self._infos(over)
             self._restart(over)
             infos = self._infos(None) | self._drawn(over)
@@ -297,7 +300,11 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over = over
         if self.renderer:
             self.renderer.look()
-        return self._obs.copy(), rewards, terminations, truncations, infos
+        return self._shown(), rewards, terminations, truncations, infos
+
+    def _shown(self) -> np.ndarray:
+        """Return what the agents see of the observations, as a copy."""
+        return self._selection.pick(self._obs) if self._selection else self._obs.copy()
 
     def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
         """Return a picture of each boat if the mode is ``"rgb_array"``."""

@@ -1,0 +1,145 @@
+"""Observations made to order: lists of entries, and the compact sets."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.agents.controllers import make_controller
+from twin.agents.evaluation import make_envs
+from twin.sim.compact import COMPACT, COMPACT_PARAMS
+from twin.sim.wrapper import make_env, make_vector_env
+from usv_kernel.errors import UsvTwinError
+
+NAMES = make_env(twin="ukf").observation_names
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    names=st.lists(st.sampled_from(NAMES), min_size=1, max_size=20, unique=True),
+    mode=st.sampled_from(["NextStep", "SameStep"]),
+)
+def test_a_list_shows_these_entries_alone_and_many_equal_one(names, mode) -> None:
+    options = {"twin": "ukf", "frame_skip": 5, "vessel_spread": 0.2}
+    envs = make_vector_env(
+        2, observation=names, max_episode_steps=3, autoreset_mode=mode, **options
+    )
+    one = make_env(observation=names, **options)
+    full = make_env(observation="twin", **options)
+    places = [NAMES.index(name) for name in names]
+    assert one.observation_names == tuple(names) == envs.observation_names
+    seen, alone, whole = envs.reset(seed=3)[0], one.reset(seed=4)[0], full.reset(seed=4)[0]
+    for _ in range(3):
+        np.testing.assert_array_equal(alone, whole[places])
+        np.testing.assert_array_equal(alone, seen[1])
+        seen, *_, infos = envs.step(np.full((2, 2), 0.4))
+        alone, whole = one.step([0.4, 0.4])[0], full.step([0.4, 0.4])[0]
+    last = infos["final_obs"][1] if mode == "SameStep" else seen[1]
+    np.testing.assert_array_equal(alone, last)
+
+
+def test_compact_entries_are_scaled_entries_of_the_twin() -> None:
+    compact, full = (make_env(twin="ukf", observation=name) for name in ("compact", "twin"))
+    small, whole = compact.reset(seed=1)[0], full.reset(seed=1)[0]
+    for _ in range(60):
+        small, whole = compact.step([0.5, 0.2])[0], full.step([0.5, 0.2])[0]
+    entries = dict(zip(NAMES, whole.astype(float), strict=True))
+    length = full.vessel.values["length_waterline"]
+    assert compact.observation_space.shape == (14,) and len(small) == 14
+    for one, value in zip(COMPACT, small, strict=True):
+        assert isinstance(one.source, str)
+        if one.near:
+            left = 100.0 * entries[one.source] - 2.0 * length
+            expected = 3.0 * np.exp(-max(left, 0.0) / (4.0 / 3.0 * length))
+        else:
+            scale = one.scale * full.speed / length if one.per_turn else one.scale
+            expected = np.clip((entries[one.source] - one.offset) / scale, -5.0, 5.0)
+        assert value == pytest.approx(expected, abs=1e-5), one.name
+
+
+def test_near_is_full_within_two_lengths_of_the_end_of_a_leg() -> None:
+    env = make_env(twin="ukf", observation=["twin_to_go"], sea="0")
+    table = make_env(twin="ukf", observation="compact", sea="0").observer.selection
+    full = np.zeros((1, len(NAMES)), np.float32)
+    found = []
+    length = env.vessel.values["length_waterline"]
+    for to_go in (0.0, 1.9 * length, 2.0 * length, (2.0 + 4.0 / 3.0) * length):
+        full[0, NAMES.index("twin_to_go")] = to_go / 100.0
+        found.append(table.pick(full)[0, -1])
+    np.testing.assert_allclose(found, [3.0, 3.0, 3.0, 3.0 / np.e], rtol=1e-5)
+
+
+@pytest.mark.parametrize("vessel", ["usv75", "otter"])
+def test_compact_entries_have_one_size_when_los_sails(vessel) -> None:
+    """Held shafts do not vary at all: it is agents that move them."""
+    seen = []
+    for sea, faults in (("0", "none"), ("2", "gps30"), ("4", "gps30")):
+        envs = make_envs(
+            6, observation="twin", twin="ukf", sea=sea, faults=faults, vessel=vessel,
+            autoreset_mode="SameStep",
+        )  # fmt: skip
+        shown = make_envs(
+            6, observation="compact", twin="ukf", sea=sea, faults=faults, vessel=vessel,
+            autoreset_mode="SameStep",
+        )  # fmt: skip
+        pilot = make_controller("los-twin")
+        obs, _ = envs.reset(seed=4000)
+        small, _ = shown.reset(seed=4000)
+        pilot.begin(envs)
+        for _ in range(240):
+            seen.append(small)
+            actions = pilot.act(obs)
+            obs, small = envs.step(actions)[0], shown.step(actions)[0]
+    sd = dict(zip(shown.unwrapped.observation_names, np.concatenate(seen).std(axis=0), strict=True))
+    steady = sd.pop("compact_shaft") if vessel == "usv75" else 0.0
+    assert steady == pytest.approx(0.0, abs=1e-5)
+    assert all(0.25 < value < 3.0 for value in sd.values()), sd
+
+
+def test_compact_params_hold_coefficients_in_units_of_the_class() -> None:
+    for vessel in ("usv75", "otter", "kvlcc2_l7"):
+        options = {"twin": "ukf", "vessel": vessel, "frame_skip": 10}
+        small = make_env(observation="compact_params", **options)
+        whole = make_env(observation="twin_params", **options)
+        one, other = small.reset(seed=0)[0], whole.reset(seed=0)[0]
+        assert len(one) == len(COMPACT_PARAMS) == 30
+        np.testing.assert_allclose(one[14:22], 0.0, atol=1e-6)
+        np.testing.assert_allclose(one[22:], 1.0, atol=1e-6)
+        for _ in range(40):
+            one, other = small.step([0.7, 0.3])[0], whole.step([0.7, 0.3])[0]
+        entries = dict(zip(whole.observation_names, other, strict=True))
+        for scaled, value in zip(COMPACT_PARAMS[14:], one[14:], strict=True):
+            name = next(name for name in scaled.source if name in entries)
+            assert value == pytest.approx(np.clip(entries[name], -5.0, 5.0), abs=1e-6)
+        assert (one[14:22] != 0.0).all()
+
+
+def test_a_list_needs_no_twin_where_no_entry_is_of_one() -> None:
+    env = make_env(observation=["to_go", "yaw_rate"])
+    assert env.observer.names == () and env.reset(seed=0)[0].shape == (2,)
+    health = make_env(twin="ukf", observation=["health_gps", "twin_surge"])
+    assert health.reset(seed=0)[0].shape == (2,)
+
+
+def test_compact_sets_serve_boats_of_several_kinds() -> None:
+    envs = gym.make_vec("USVTwin-v0", 4, vessel="usv75|otter", twin="ukf", observation="compact")
+    obs, _ = envs.reset(seed=0)
+    assert obs.shape == (4, 14) and np.isfinite(envs.step(np.zeros((4, 2)))[0]).all()
+
+
+def test_wrong_lists_are_refused() -> None:
+    for wrong, match in (
+        ([], "one entry or more"),
+        (["yaw_rate", "yaw_rate"], "none twice"),
+        (["twin_surg"], "twin_surg"),
+        (["twin_surge", "true_surge"], "no set has all"),
+        ("compacted", "compacted.*or a list"),
+        ([1], "or a list"),
+    ):
+        with pytest.raises(UsvTwinError, match=match):
+            make_env(twin="ukf", observation=wrong)
+    with pytest.raises(UsvTwinError, match="needs a twin"):
+        make_env(twin=None, observation="compact")
