@@ -25,6 +25,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_kernel.jit import kernel
 
 __all__ = [
+    "BASES",
     "CONTROLLERS",
     "LOS",
     "DeadReckoningLOS",
@@ -98,12 +99,13 @@ class LOS:
         self.name, self.observation, self.source = name, observation, source
         self.lookahead, self.gain, self.damping = lookahead, gain, damping
         self.integral, self.early = integral, early
+        self.entries = (*(source + name for name in PATH), *NAMES[source])
 
     def begin(self, envs: USVVectorEnv) -> None:
         """See :meth:`twin.agents.agent.Agent.begin`."""
         base = envs.unwrapped
         check_actions(self.name, base)
-        self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
+        self._places = places(base, self.entries)
         self.unit = float(base.task.rules["unit"])
         dt = base.simulation.dt * base.frame_skip
         self.fit(base.vessel, base.speed, dt, float(base.task.rules["reach"]), base.num_envs)
@@ -119,6 +121,10 @@ class LOS:
         full, nominal = shaft_speeds(vessel)
         self.shaft = nominal / full
         self._drift = np.zeros(n)
+
+    def forget(self, boats: NDArray[np.bool_]) -> None:
+        """Forget what was remembered of some boats (n,), which begin an episode."""
+        self._drift = np.where(boats, 0.0, self._drift)
 
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`."""
@@ -257,6 +263,9 @@ def wrapped(angle: Array) -> Array:
     """Return angles within -pi ... pi, rad."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
+
+BASES = ("los", "los-twin", "los-oracle")
+"""Names of those that a trained agent may correct: quick, and they forget boat by boat."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,

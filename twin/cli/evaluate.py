@@ -64,6 +64,10 @@ def evaluate_command(
     vessel: Annotated[
         str | None, typer.Option(help="Default: that of the training, or usv75.")
     ] = None,
+    vessel_spread: Annotated[
+        float | None,
+        typer.Option(help="Spread of the boats. Default: that of the training, or 0."),
+    ] = None,
     sensors: Annotated[
         str, typer.Option(help=f"Grade of the sensors, one of: {', '.join(GRADES)}.")
     ] = "typical",
@@ -94,7 +98,7 @@ def evaluate_command(
     error is that of the displacement 5 s ahead, with the commands that came.
     """
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
-    chosen = {"task": task, "twin": twin, "vessel": vessel}
+    chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in agents_named(model)]
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
@@ -163,7 +167,8 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
 def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
     """Return the environment options of the training, overridden by those given."""
     options = Plan("ppo", "raw", 1).environment | given
-    for name in ("task", "twin", "vessel", "frame_skip", "max_episode_steps"):
+    named = ("task", "twin", "vessel", "vessel_spread", "frame_skip", "max_episode_steps")
+    for name in named:
         trained = {
             agent.settings[name]
             for agent in agents
@@ -175,7 +180,7 @@ def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
             what = ", ".join(map(str, sorted(trained)))
             raise AgentError(
                 f"these were trained with {name} = {what}: evaluate them one by one"
-                + (f", or name --{name}" if name in ("task", "twin", "vessel") else "")
+                + (f", or name --{name.replace('_', '-')}" if name in named[:4] else "")
             )
         (options[name],) = trained
     del options["sea"], options["faults"]

@@ -18,7 +18,7 @@ from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver
 from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
-from twin.sim.compact import COMPACT_SETS, set_of
+from twin.sim.compact import COMPACT_SETS, SCALED, set_of
 from twin.sim.mixed_twins import MixedTwins, observer_of
 from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
@@ -296,7 +296,7 @@ def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scal
     if not names or not all(isinstance(name, str) for name in observation):
         known = ", ".join(OBSERVATIONS)
         raise UsvTwinError(f"observation = {observation!r}; known: {known}, or a list of entries")
-    return set_of(list(observation)), list(observation)
+    return set_of(list(observation)), [SCALED.get(name, name) for name in observation]
 
 
 def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:
