@@ -69,7 +69,7 @@ CALLS = """
 import numpy as np
 import usv_kernel.warmup
 usv_kernel.warmup.MESSAGE_DELAY = 0.0
-from usv_gym.envs.tasks import path_errors
+from usv_gym.envs.scoring import (path_errors)
 from usv_gym.physics import parameters, wind
 errors = np.zeros(4)
 path_errors(0.0, 0.0, 0.5, np.array([[0.0, 0.0], [10.0, 0.0]]), 0, errors)

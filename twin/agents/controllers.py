@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
 from twin.agents.mpc import ModelPredictive
 from usv_gym.envs.episodes import AGE_SCALE
-from usv_gym.envs.tasks import ERRORS, follow
+from usv_gym.envs.scoring import ERRORS, follow
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.jit import kernel
@@ -29,6 +29,7 @@ __all__ = [
     "CONTROLLERS",
     "LOS",
     "DeadReckoningLOS",
+    "Docking",
     "make_controller",
 ]
 
@@ -170,6 +171,77 @@ class LOS:
         return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
 
 
+class Docking(LOS):
+    """Line of sight to a berth, slower and slower, with the shafts astern to stop.
+
+    The speed over ground that it keeps is the nominal one, but within ``slow`` lengths of the berth
+    in proportion to what is left. A boat that comes too far to the side, or beyond the berth, backs
+    off along its leg and comes again.
+
+    Parameters
+    ----------
+    name, observation, source
+        As for :class:`LOS`, as are other options.
+    slow : float
+        Distance at which it begins to slow down, lengths.
+    push : float
+        Change of the shaft speed, in nominal ones, per nominal speed too slow.
+    aside : float
+        Distance to the side of the leg that is too far at the berth, lengths.
+    back_off : float
+        How far it backs off, lengths.
+    """
+
+    def __init__(
+        self,
+        name: str = "dock-twin",
+        observation: str = "twin",
+        source: str = "twin_",
+        *,
+        slow: float = 6.0,
+        push: float = 3.0,
+        aside: float = 0.45,
+        back_off: float = 3.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(name, observation, source, **{"lookahead": 2.0, **options})
+        numbers = slow, push, aside, back_off
+        if not all(math.isfinite(x) and x > 0.0 for x in numbers):
+            raise ControllerError(
+                f"{name}: slow, push, aside, back_off = {numbers}: must be finite and above 0"
+            )
+        self.slow, self.push, self.aside, self.back_off = numbers
+
+    def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
+        """See :meth:`LOS.fit`."""
+        super().fit(vessel, speed, dt, reach, n)
+        self._backing = np.zeros(n, dtype=np.bool_)
+
+    def steer(self, motion: Array) -> Array:
+        """See :meth:`LOS.steer`; a leg without a next turn is that of the berth."""
+        e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
+        L, last = self.length, (np.abs(sin_turn) < 1e-6) & (cos_turn > 0.0)
+        left = np.where(last, to_go, to_go + self.slow * L)
+        wide = np.abs(e) > self.aside * L + 0.5 * np.maximum(to_go, 0.0)
+        self._backing |= last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
+        self._backing &= last & (to_go < self.back_off * L)
+        back = self._backing
+        wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, 1.0))
+        shaft = self.shaft * (wanted + self.push * (wanted - u))
+        ahead = self.lookahead * L
+        beyond = np.where(last, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
+        course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
+        # astern the boat is turned the other way to come back to its leg
+        offset = e + self._drift
+        error = wrapped(course - np.where(back, -1.0, 1.0) * np.arctan2(offset, ahead))
+        step = self.integral * self.dt * self.speed * ahead / (ahead**2 + offset**2)
+        self._drift = self._drift + np.where(back, 0.0, step * e)
+        helm = self.gain * error - self.damping * L / self.speed * r
+        # drives push the stern to the other side while they turn astern
+        helm = np.where(shaft < 0.0, -helm, helm)
+        return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
+
+
 class DeadReckoningLOS(LOS):
     """The same between and without fixes: compass, last known speed and time carry the boat on.
 
@@ -272,6 +344,8 @@ CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los-dr": DeadReckoningLOS,
     "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
     "mpc-twin": ModelPredictive,
+    "dock-twin": Docking,
+    "dock-oracle": lambda **options: Docking("dock-oracle", "oracle", "true_", **options),
     "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
 }
 """Controllers by name; each call gives a new one."""

@@ -18,7 +18,7 @@ import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.policy import AgentError
 from twin.sim.wrapper import log_of
-from usv_gym.envs.tasks import STATION
+from usv_gym.envs.scoring import STATION
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.channels import GPS_BIT
 

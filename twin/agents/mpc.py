@@ -34,7 +34,7 @@ from twin.model.rollout import (
 )
 from twin.model.structure import N_STATES
 from twin.sim.batched_twins import CompiledTwins
-from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
+from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import kernel

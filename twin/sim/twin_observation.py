@@ -73,7 +73,7 @@ from usv_gym.envs.observation import (
     TO_END,
     YAW_RATE,
 )
-from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, NEXT_TURN, TO_GO, follow
+from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, ERRORS, NEXT_TURN, TO_GO, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
 from usv_kernel.arrays import shaped

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,8 +103,11 @@ class EnvConfig:
         Texts are such as ``"gps10"`` (10 s without GPS, beginning at random between 10 and 60 s) or
         ``"gps10@30+imu-spikes-random"``, see :func:`usv_gym.world.faults.parse_faults`. Of several
         texts, as in ``"none|gps10|gps30"``, each episode draws one.
-    task : str
-        One of :data:`usv_gym.envs.tasks.TASKS`.
+    task : str or type
+        One of :data:`usv_gym.envs.tasks.TASKS`, ``module:Class`` of a task of your own, or its
+        class: see :class:`usv_gym.envs.tasks.Task`.
+    reward_weights : mapping of str to float, optional
+        Factors of parts of the reward, such as ``{"cross_track": 3.0}``; others have 1.
     motion_penalty : float, optional
         Weight of the reward's term ``motion``, with ``dof=6``: minus the square of the roll over 10
         degrees, and that of the vertical acceleration of the deck point over 2 m/s2. Left out, it
@@ -133,7 +136,8 @@ class EnvConfig:
     load: float | Sequence[float] = 1.0
     suite: SensorSuite | str | None = None
     faults: str | Sequence[Disturbance] = "none"
-    task: str = "path"
+    task: str | type = "path"
+    reward_weights: Mapping[str, float] | None = None
     motion_penalty: float | None = None
     actions: str = "common"
     frame_skip: int = 1
@@ -151,6 +155,10 @@ class EnvConfig:
         self.load_span(), self.current_spans(), self.heading_span()
         if self.motion_penalty is not None:
             check_number("motion_penalty", self.motion_penalty, 0.0, PENALTY_MAX)
+        if not isinstance(self.reward_weights, Mapping | None):
+            raise UsvTwinError(
+                f"reward_weights = {self.reward_weights!r}: must be a dict of terms and numbers"
+            )
         substeps_of(self.dt, self.dt_physics)
 
     def wind_span(self) -> Span | None:

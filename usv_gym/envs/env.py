@@ -12,7 +12,7 @@ from gymnasium import spaces
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_gym.envs.tasks import N_TERMS, TASK
+from usv_gym.envs.scoring import N_TERMS, TASK
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from usv_gym.design.seaway import warning_of
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.tasks import (
+from usv_gym.envs.scoring import (
     COURSE_ERROR,
     CROSS_TRACK,
     ERRORS,
@@ -22,12 +22,11 @@ from usv_gym.envs.tasks import (
     RULES,
     TASK,
     TO_GO,
-    Task,
     TaskError,
     follow,
-    make_task,
     score_step,
 )
+from usv_gym.envs.tasks import Step, Task, make_task
 from usv_gym.envs.worlds import Worlds, check_tables, faults_of, vessels_of
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
@@ -458,7 +457,8 @@ class Episodes:
         v, motion = vessel.values, config.motion_penalty
         n_manoeuvring, n_max = v["shaft_speed_manoeuvring"], v["shaft_speed_service"]
         speed = vessel.straight_speed(n_manoeuvring)
-        task = make_task(config.task, self.n, speed, v["length_waterline"], motion)
+        length, weights = v["length_waterline"], config.reward_weights
+        task = make_task(config.task, self.n, speed, length, motion, weights)
         if config.dof != 6 and task.rules["motion"] > 0.0:
             what = f"task = {config.task!r}" if motion is None else f"motion_penalty = {motion}"
             raise TaskError(f"{what}: a boat with dof=3 does not roll; use dof=6")
@@ -522,11 +522,40 @@ class Episodes:
             False, with nothing done, if an action is no number.
         """
         for left in self._countdown:
+            own = self.task.is_own
+            before, active = self._before_step() if own else (None, None)
             if not self._step(obs, left):
                 return False
+            if before is not None and active is not None:
+                self._score(before, active, left)
             for callback in callbacks:
                 callback.observe(obs, left == 0)
         return True
+
+    def _before_step(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the last actions (n, A), and which boats will sail (n,)."""
+        return self.actions[0].copy(), self.records["idle_steps"] == 0.0
+
+    def _score(self, before: np.ndarray, active: np.ndarray, left: int) -> None:
+        """Let tasks that rate their steps themselves do so, of the boats that sailed."""
+        record, boats = self.records["task"], self.simulation.boats
+        step = Step(
+            t=self.simulation.t,
+            state=boats["state"],
+            rate=boats["mean_rate"],
+            action=self.actions[1],
+            before=before,
+            errors=record["errors"],
+            leg=record["leg"].astype(np.int64),
+            points=self.task.points,
+            capsized=record["capsized"] != 0.0,
+        )
+        for number, kind in enumerate(self.kinds):
+            rated = active & (self.records["kind"] == number)
+            if rated.any():
+                kind.task.take(step, rated)
+        over = active & (record["terminated"] != 0.0)
+        self.records["idle_steps"][over] = left
 
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if len(self.blocks) == 1:

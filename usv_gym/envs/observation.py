@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.envs.episodes import BOUND, EPISODE, EPISODES, Episodes, Observer
-from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, NEXT_TURN, TO_GO
+from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, NEXT_TURN, TO_GO
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
 from usv_kernel.jit import kernel

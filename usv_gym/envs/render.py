@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.scene import SDS, Scene, Trail, TwinOverlay, drives, ellipses, outline, rotated
-from usv_gym.envs.tasks import NOTHING
+from usv_gym.envs.scoring import NOTHING
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx

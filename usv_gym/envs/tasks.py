@@ -2,203 +2,93 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from usv_gym.physics import frames as fr
-from usv_kernel.errors import UsvTwinError
-from usv_kernel.jit import kernel
-from usv_kernel.records import Record
-from usv_kernel.scalar import wrap
+from usv_gym.envs.scoring import (
+    DECK,
+    DOCK,
+    MOTION,
+    N_TERMS,
+    NOTHING,
+    PATH,
+    REST,
+    RULES,
+    STATION,
+    TASK,
+    WEIGHT_MAX,
+    TaskError,
+    path_errors,
+)
+from usv_kernel.errors import check_number, did_you_mean
 
 __all__ = [
-    "RULES",
-    "TASK",
     "TASKS",
     "Curves",
+    "Docking",
     "FreeManoeuvre",
     "LawnMower",
     "PathFollowing",
+    "Score",
     "Seakeeping",
     "StationKeeping",
+    "Step",
     "Task",
-    "TaskError",
     "WayPoints",
-    "follow",
-    "score_step",
+    "make_task",
 ]
-
-ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
-
-CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
-"""Places of the errors."""
-
-N_TERMS = 5
-
-MOTION = "motion"
-"""Name of the fifth part of a reward: minus what roll and vertical acceleration cost."""
-
-ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
-"""Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
-and the most that a step costs, before the weight."""
-
-DECK = 0.4
-"""The deck point, in lengths forward of the origin."""
-
-FAILURE = 500.0
-"""What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
-agent that looks ahead for less than that never fails on purpose."""
-
 
 SEAKEEPING_TIME = 110.0
 """Time to sail the path of the task ``seakeeping`` at the nominal speed, s."""
 
 
-class TaskError(UsvTwinError):
-    """A task that is not known; the message lists those that are."""
+class Step(NamedTuple):
+    """One control step of n boats, by the truth; arrays are not to be changed."""
+
+    t: np.ndarray
+    """Time since the reset (n,), s."""
+    state: np.ndarray
+    """State (n, 16); order and units in :mod:`usv_gym.physics.frames`."""
+    rate: np.ndarray
+    """Mean time derivative of the state over the step (n, 16)."""
+    action: np.ndarray
+    """Action of this step (n, A), within -1 and 1 ..."""
+    before: np.ndarray
+    """... and of the step before."""
+    errors: np.ndarray
+    """Errors (n, 4) from the leg: to starboard of it and left along it (m), course of the leg less
+    heading, and turn to the next leg (rad)."""
+    leg: np.ndarray
+    """Leg of the path (n,), from 0."""
+    points: np.ndarray
+    """Paths (n, K, 2), m north and east."""
+    capsized: np.ndarray
+    """Whether each boat has capsized (n,)."""
 
 
-@kernel
-def path_errors(
-    x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
-) -> None:
-    """Write the errors of a boat from a leg: from point ``leg`` of a path (K, 2) to the next.
+class Score(NamedTuple):
+    """How one control step of n boats is rated."""
 
-    Errors (4,): distance to starboard of the leg and left along it (m), course of the leg less
-    heading, turn to the next leg (rad). The turn is 0 on the last leg.
-    """
-    dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
-    course = math.atan2(dy, dx)
-    c, s = math.cos(course), math.sin(course)
-    ex, ey = x - points[leg, 0], y - points[leg, 1]
-    errors[CROSS_TRACK] = ey * c - ex * s
-    errors[TO_GO] = math.hypot(dx, dy) - (ex * c + ey * s)
-    errors[COURSE_ERROR] = wrap(course - psi)
-    errors[NEXT_TURN] = 0.0
-    if leg + 2 < points.shape[0]:
-        next_x = points[leg + 2, 0] - points[leg + 1, 0]
-        next_y = points[leg + 2, 1] - points[leg + 1, 1]
-        errors[NEXT_TURN] = wrap(math.atan2(next_y, next_x) - course)
-
-
-@kernel
-def follow(
-    x: float,
-    y: float,
-    psi: float,
-    points: np.ndarray,
-    leg: int,
-    reach: float,
-    errors: np.ndarray,
-) -> int:
-    """Write the path errors and return the leg, moved on where its end is reached."""
-    path_errors(x, y, psi, points, leg, errors)
-    if errors[TO_GO] < reach and leg + 2 < points.shape[0]:
-        leg += 1
-        path_errors(x, y, psi, points, leg, errors)
-    return leg
-
-
-NOTHING, PATH, STATION = 0, 1, 2
-"""Kinds of tasks."""
-
-TASK = np.dtype(
-    [
-        ("leg", float),  # from way point ``leg`` to the next
-        ("errors", float, len(ERRORS)),  # true errors, see ERRORS
-        ("terms", float, N_TERMS),  # reward since the last decision, term by term
-        ("reward", float),  # and their sum
-        ("terminated", float),  # 1 where the episode is over
-        ("success", float),
-        ("capsized", float),
-        ("known_leg", float),  # leg by what is known on board
-    ]
-)
-"""Progress of one boat in its task."""
-
-RULES = np.dtype(
-    [
-        ("kind", float),  # NOTHING, PATH or STATION
-        ("reach", float),  # m, distance at which a way point counts as reached
-        ("speed", float),  # m/s, nominal speed
-        ("area", float),  # m, distance that ends the episode
-        ("unit", float),  # m, distance off the path that counts as 1
-        ("loose", float),  # how much less a distance off the path costs
-        ("motion", float),  # weight of roll and vertical acceleration
-        ("deck", float),  # m, the deck point forward of the origin
-    ]
-)
-"""What is common to the tasks of all boats."""
-
-
-@kernel
-def score_step(
-    state: np.ndarray,
-    rate: np.ndarray,
-    action: np.ndarray,
-    before: np.ndarray,
-    points: np.ndarray,
-    rules: Record,
-    task: Record,
-) -> None:
-    """Write errors and end of one step of one boat, and add its reward terms, from the truth.
-
-    ``rate`` (16,) is the mean time derivative of ``state`` over the step. ``action`` and ``before``
-    (A,) are those of this step and the step before. All of the task's record is written but
-    ``known_leg``.
-    """
-    errors = task.errors
-    leg = follow(
-        state[fr.X], state[fr.Y], state[fr.PSI], points, int(task.leg), rules.reach, errors
-    )
-    task.leg = leg
-    # the mast points below the horizon
-    capsized = math.cos(state[fr.PHI]) * math.cos(state[fr.THETA]) < 0.0
-    task.capsized = task.terminated = 1.0 if capsized else 0.0
-    if rules.kind == NOTHING:
-        return
-    change = 0.0
-    for j in range(action.shape[0]):
-        change += abs(action[j] - before[j])
-    if rules.kind == PATH:
-        angle = errors[COURSE_ERROR]
-        along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
-        # too fast costs as much as too slow by the same amount
-        first = 1.0 - abs(along / rules.speed - 1.0)
-        second = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), 2.0)
-        reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
-        far = abs(errors[CROSS_TRACK]) > rules.area
-        over = reached or far
-    else:
-        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
-        speed = math.hypot(state[fr.U], state[fr.V])
-        first = -0.5 * distance / rules.unit
-        second = -0.1 * speed / rules.speed
-        reached = distance < rules.reach
-        over = far = distance > rules.area
-    third = -0.05 * change
-    fourth = -FAILURE if far or capsized else 0.0
-    task.terms[0] += first
-    task.terms[1] += second
-    task.terms[2] += third
-    task.terms[3] += fourth
-    task.reward += first + second + third + fourth
-    if rules.motion > 0.0:
-        # of the deck point, along the mast
-        lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
-        lift -= rules.deck * (rate[fr.Q] - state[fr.P] * state[fr.R])
-        rough = (state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2
-        fifth = -rules.motion * min(rough, MOTION_MOST)
-        task.terms[4] += fifth
-        task.reward += fifth
-    task.success = 1.0 if reached and not capsized else 0.0
-    if over:
-        task.terminated = 1.0
+    terms: Mapping[str, np.ndarray]
+    """Parts of the reward (n,), by the names of ``Task.terms``; their sum is the reward."""
+    success: np.ndarray
+    """Whether the goal is reached (n,)."""
+    over: np.ndarray
+    """Whether the episode ends (n,); it also ends where a boat has capsized."""
 
 
 class Task:
-    """State of n episodes' tasks; subclasses draw the path and say what is rated.
+    """What an episode is about; subclasses draw the path and say what is rated.
+
+    A task of your own overrides :meth:`path` and :meth:`score`, in a file of your own; those of
+    this package are rated in compiled code instead, by their ``kind``. See
+    docs/how-to/own_task.md.
 
     Parameters
     ----------
@@ -210,6 +100,8 @@ class Task:
         Length of the boat, m.
     motion : float, optional
         Weight of roll and vertical acceleration in the reward; that of the class if left out.
+    weights : mapping of str to float, optional
+        Factors of parts of the reward, by name; 1 where left out.
 
     Attributes
     ----------
@@ -222,31 +114,59 @@ class Task:
     unit : float
         Distance off the path that counts as 1, in rewards and observations: 10 m, or 4/3
         lengths of a boat for which that is more.
+
+    Raises
+    ------
+    TaskError
+        A weight is of no part of the reward, or no number.
     """
 
     kind = NOTHING
     terms: tuple[str, ...] = ("progress", "cross_track", "effort", "failure")
-    """Names of the parts of the reward; ``motion`` follows where it has a weight."""
+    """Names of the parts of the reward, eight at most; ``motion`` follows where it has a weight."""
     motion = 0.0
     """Weight of roll and vertical acceleration, unless another one is given."""
     loose = 1.0
     """How much less a distance off the path costs."""
     legs = 1
+    """Legs of a path."""
     reach = 2.0
     """Distance at which a way point counts as reached, in lengths of the boat."""
     area = 5.0
     """Distance that ends the episode, in units."""
 
-    def __init__(self, n: int, speed: float, length: float, motion: float | None = None) -> None:
-        self.length, self.unit = length, max(10.0, 4.0 / 3.0 * length)
+    def __init__(
+        self,
+        n: int,
+        speed: float,
+        length: float,
+        motion: float | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> None:
+        self.length, self.unit, self.speed = length, max(10.0, 4.0 / 3.0 * length), speed
         self.rules = np.zeros(1, RULES)[0]
         self.rules["kind"], self.rules["speed"] = self.kind, speed
         self.rules["reach"], self.rules["area"] = self.reach * length, self.area * self.unit
         self.rules["unit"], self.rules["loose"] = self.unit, self.loose
         self.rules["motion"] = self.motion if motion is None else motion
         self.rules["deck"] = DECK * length
+        self.rules["rest"] = max(REST[0] * speed, REST[1])
+        self.rules["terms"] = len(self.terms)
         if self.rules["motion"] > 0.0:
             self.terms = (*self.terms, MOTION)
+        if len(self.terms) > N_TERMS:
+            raise TaskError(
+                f"{type(self).__name__}: {len(self.terms)} terms; use {N_TERMS} at most"
+            )
+        self.rules["weights"] = 1.0
+        for name, weight in (weights or {}).items():
+            if name not in self.terms:
+                raise TaskError(
+                    f"reward_weights: the reward has no term {name!r}"
+                    f"{did_you_mean(name, self.terms)}; its terms: {', '.join(self.terms)}"
+                )
+            check_number(f"reward_weights[{name!r}]", weight, 0.0, WEIGHT_MAX, TaskError)
+            self.rules["weights"][self.terms.index(name)] = weight
         self.points = np.zeros((n, self.legs + 1, 2))
         self.records = np.zeros(n, TASK)
 
@@ -257,7 +177,12 @@ class Task:
 
     def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
         """Draw the path of boat i, which starts at the origin with a heading (rad)."""
-        points = self._path(rng)
+        points = np.asarray(self.path(rng), dtype=float)
+        if points.shape != self.points.shape[1:] or not np.isfinite(points).all():
+            raise TaskError(
+                f"{type(self).__name__}.path gave an array of shape {points.shape}: must be finite "
+                f"numbers of shape {self.points.shape[1:]}, a row for each of its legs and one more"
+            )
         if heading != 0.0:
             c, s = math.cos(heading), math.sin(heading)
             north, east = points.T
@@ -266,14 +191,55 @@ class Task:
         self.records[i] = 0.0
         path_errors(0.0, 0.0, heading, self.points[i], 0, self.records["errors"][i])
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
-        raise TaskError("a task must draw its path")
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw a path (legs + 1, 2), m north and east: the boat starts at (0, 0), heading north.
+
+        Randomness comes from ``rng`` alone. Errors and observations follow from the path.
+        """
+        raise TaskError(f"{type(self).__name__} must draw its path: override path(self, rng)")
+
+    def score(self, step: Step) -> Score | None:
+        """Rate one step of all boats; None: it is rated in compiled code, by ``kind``.
+
+        Called for each control step, after the boats have moved. Results must not depend on how
+        many boats there are: use NumPy entry by entry.
+        """
+        return None
+
+    def take(self, step: Step, rated: np.ndarray) -> None:
+        """Rate one step by :meth:`score`, and add it to the records of some boats (n,).
+
+        TaskError: the score has other terms, or is no number.
+        """
+        score, name = self.score(step), type(self).__name__
+        if score is None or set(score.terms) != set(self.terms):
+            given = "None" if score is None else ", ".join(score.terms)
+            raise TaskError(
+                f"{name}.score gave {given}; must be a Score with the terms {', '.join(self.terms)}"
+            )
+        for k, term in enumerate(self.terms):
+            values = np.broadcast_to(np.asarray(score.terms[term], float), rated.shape)
+            if not np.isfinite(values[rated]).all():
+                raise TaskError(f"{name}.score: the term {term!r} is not finite: {values[rated]}")
+            values = self.rules["weights"][k] * values[rated]
+            self.records["terms"][rated, k] += values
+            self.records["reward"][rated] += values
+        ends = np.broadcast_to(np.asarray(score.over, dtype=np.bool_), rated.shape)
+        reached = np.broadcast_to(np.asarray(score.success, dtype=np.bool_), rated.shape)
+        self.records["terminated"][rated & ends] = 1.0
+        self.records["success"][rated] = (reached & ~step.capsized)[rated]
+
+    @property
+    def is_own(self) -> bool:
+        """Whether steps are rated by :meth:`score`."""
+        return type(self).score is not Task.score
 
 
 class FreeManoeuvre(Task):
     """No goal, no reward, no end but capsizing; the path ahead is a line to the north."""
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         return np.array([[0.0, 0.0], [1e4, 0.0]])
 
 
@@ -292,7 +258,8 @@ class PathFollowing(Task):
     kind = PATH
     legs = 6
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         turns = np.radians(rng.uniform(-70.0, 70.0, self.legs))
         turns[0] *= 0.3  # the boat starts heading north
         return _chain(np.cumsum(turns), self.length * rng.uniform(10.0, 20.0, self.legs))
@@ -301,7 +268,8 @@ class PathFollowing(Task):
 class WayPoints(PathFollowing):
     """Visit way points anywhere around, 12 to 30 lengths apart: turns of up to 140 degrees."""
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         turns = np.radians(rng.uniform(-140.0, 140.0, self.legs))
         turns[0] *= 0.3
         return _chain(np.cumsum(turns), self.length * rng.uniform(12.0, 30.0, self.legs))
@@ -317,7 +285,8 @@ class Curves(PathFollowing):
     legs = 120
     reach = 0.0
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         turns: list[float] = [0.0] * 5
         while len(turns) < self.legs:
             angle, radius = np.radians(rng.uniform(60.0, 150.0)), rng.uniform(6.0, 12.0)
@@ -332,7 +301,8 @@ class LawnMower(PathFollowing):
 
     legs = 9
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         side = rng.choice([-1.0, 1.0])
         lengths = np.where(
             np.arange(self.legs) % 2 == 0, rng.uniform(14.0, 24.0), rng.uniform(4.0, 7.0)
@@ -357,7 +327,8 @@ class Seakeeping(PathFollowing):
     loose = 3.0
     area = 10.0
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         course = np.radians(rng.uniform(-60.0, 60.0, 1))
         return _chain(course, np.array([SEAKEEPING_TIME * self.rules["speed"]]))
 
@@ -376,9 +347,37 @@ class StationKeeping(Task):
     terms = ("distance", "speed", "effort", "failure")
     area = 10.0
 
-    def _path(self, rng: np.random.Generator) -> np.ndarray:
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
         course = np.radians(rng.uniform(-90.0, 90.0, 1))
         return _chain(course, self.length * rng.uniform(4.0, 8.0, 1))
+
+
+class Docking(Task):
+    """Go into a berth and come to rest there, in wind and current.
+
+    The berth lies behind a way point, 5 to 9 lengths ahead and within 60 degrees to a side; from
+    there it is 4 to 6 lengths to the berth, after a turn of up to 60 degrees. The boat has docked,
+    and the episode ends with success, when three hold at once: its origin is within half a length
+    of the berth, its heading within 20 degrees of the berth's, and its speed over ground below a
+    tenth of the nominal one (or 0.25 m/s, if that is more). It ends with failure when the boat is a
+    length beyond the berth, which is the quay, 5 units (50 m) to the side of the leg, or capsized.
+
+    Reward per step of ``dt``, from the truth: ``distance`` is minus half the way to go in units,
+    ``speed`` minus half of what the speed over ground exceeds the nominal one that is left: all of
+    it at six lengths from the berth, none there. ``heading`` is minus 0.25 (1 - cos) of the angle
+    to the berth on the last leg. ``effort`` and ``failure`` are as on a path.
+    """
+
+    kind = DOCK
+    terms = ("distance", "speed", "effort", "failure", "heading")
+    legs = 2
+
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        """See :meth:`Task.path`."""
+        courses = np.cumsum(np.radians(rng.uniform(-60.0, 60.0, 2)))
+        lengths = np.array([rng.uniform(5.0, 9.0), rng.uniform(4.0, 6.0)])
+        return _chain(courses, self.length * lengths)
 
 
 def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -394,17 +393,50 @@ TASKS: dict[str, type[Task]] = {
     "lawnmower": LawnMower,
     "waypoints": WayPoints,
     "station": StationKeeping,
+    "docking": Docking,
     "seakeeping": Seakeeping,
     "free": FreeManoeuvre,
 }
 """Name to task."""
 
 
-def make_task(name: str, n: int, speed: float, length: float, motion: float | None = None) -> Task:
-    """Return the task of that name for n boats; TaskError lists the names that there are.
+def make_task(
+    name: str | type[Task],
+    n: int,
+    speed: float,
+    length: float,
+    motion: float | None = None,
+    weights: Mapping[str, float] | None = None,
+) -> Task:
+    """Return the task of that name for n boats.
 
-    ``motion`` is the weight of roll and vertical acceleration, that of the task if left out.
+    ``name`` is one of :data:`TASKS`, ``module:Class`` of a file of your own, or a class. Others are
+    the parameters of :class:`Task`. TaskError: there is no such task.
     """
-    if not isinstance(name, str) or name not in TASKS:
-        raise TaskError(f"no task is called {name!r}; known: {', '.join(TASKS)}")
-    return TASKS[name](n, speed, length, motion)
+    kind: Any = name
+    if isinstance(name, str):
+        kind = _imported(name) if ":" in name else TASKS.get(name)
+    if not (isinstance(kind, type) and issubclass(kind, Task)):
+        hint = did_you_mean(name, TASKS) if isinstance(name, str) else ""
+        raise TaskError(
+            f"no task is called {name!r}{hint}; known: {', '.join(TASKS)}; one of your own: "
+            "module:Class of a subclass of usv_gym.envs.tasks.Task"
+        )
+    task = kind(n, speed, length, motion, weights)
+    if task.is_own and task.rules["motion"] > 0.0:
+        raise TaskError(
+            f"motion_penalty = {motion}: {kind.__name__} rates its steps itself; give it a term"
+        )
+    return task
+
+
+def _imported(name: str) -> Any:
+    """Return what ``module:Class`` stands for; the module may lie in the working directory."""
+    module, attribute = name.partition(":")[::2]
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # as for python -m
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise TaskError(f"task = {name!r}: {error}; write module:Class") from None

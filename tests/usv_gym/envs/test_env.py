@@ -22,7 +22,7 @@ from twin.sim.wrapper import TwinObservation, USVTwinEnv, make_env
 from usv_gym import Fault, SeaState, SensorSuite
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.episodes import OBSERVATION
-from usv_gym.envs.tasks import TaskError
+from usv_gym.envs.scoring import TaskError
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import VesselError
 from usv_gym.world.faults import FaultError

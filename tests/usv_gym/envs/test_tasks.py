@@ -19,7 +19,8 @@ from gymnasium.wrappers import (
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
-from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
+from usv_gym.envs.scoring import FAILURE, TaskError
+from usv_gym.envs.tasks import TASKS, make_task
 from usv_gym.physics import frames as fr
 from usv_gym.world.faults import Fault, FaultWarning
 from usv_kernel.errors import ArgumentError

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from twin.agents.controllers import LOS
 from twin.channels import R
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
-from usv_gym.envs.tasks import Curves, follow
+from usv_gym.envs.scoring import follow
+from usv_gym.envs.tasks import Curves
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, commands
 from usv_gym.vessel.vessel import Vessel
 

@@ -1,0 +1,216 @@
+"""How a step is rated: errors from the path, parts of the reward, and ends, in compiled code."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usv_gym.physics import frames as fr
+from usv_kernel.errors import UsvTwinError
+from usv_kernel.jit import kernel
+from usv_kernel.records import Record
+from usv_kernel.scalar import wrap
+
+__all__ = ["RULES", "TASK", "TaskError", "follow", "path_errors", "score_step"]
+
+ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
+
+CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
+"""Places of the errors."""
+
+N_TERMS = 8
+"""Most parts of a reward."""
+
+MOTION = "motion"
+"""Name of the last part of a reward: minus what roll and vertical acceleration cost."""
+
+ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
+"""Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
+and the most that a step costs, before the weight."""
+
+DECK = 0.4
+"""The deck point, in lengths forward of the origin."""
+
+WEIGHT_MAX = 1e3
+"""Largest factor of a part of the reward."""
+
+FAILURE = 500.0
+"""What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
+agent that looks ahead for less than that never fails on purpose."""
+
+
+ALONGSIDE = math.radians(20.0)
+"""Largest angle to its berth at which a boat counts as docked, rad."""
+
+REST = 0.1, 0.25
+"""Speed below which a boat is at rest, in nominal speeds, and the least such speed, m/s."""
+
+
+class TaskError(UsvTwinError):
+    """A task that is not known; the message lists those that are."""
+
+
+@kernel
+def path_errors(
+    x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
+) -> None:
+    """Write the errors of a boat from a leg: from point ``leg`` of a path (K, 2) to the next.
+
+    Errors (4,): distance to starboard of the leg and left along it (m), course of the leg less
+    heading, turn to the next leg (rad). The turn is 0 on the last leg.
+    """
+    dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
+    course = math.atan2(dy, dx)
+    c, s = math.cos(course), math.sin(course)
+    ex, ey = x - points[leg, 0], y - points[leg, 1]
+    errors[CROSS_TRACK] = ey * c - ex * s
+    errors[TO_GO] = math.hypot(dx, dy) - (ex * c + ey * s)
+    errors[COURSE_ERROR] = wrap(course - psi)
+    errors[NEXT_TURN] = 0.0
+    if leg + 2 < points.shape[0]:
+        next_x = points[leg + 2, 0] - points[leg + 1, 0]
+        next_y = points[leg + 2, 1] - points[leg + 1, 1]
+        errors[NEXT_TURN] = wrap(math.atan2(next_y, next_x) - course)
+
+
+@kernel
+def follow(
+    x: float,
+    y: float,
+    psi: float,
+    points: np.ndarray,
+    leg: int,
+    reach: float,
+    errors: np.ndarray,
+) -> int:
+    """Write the path errors and return the leg, moved on where its end is reached."""
+    path_errors(x, y, psi, points, leg, errors)
+    if errors[TO_GO] < reach and leg + 2 < points.shape[0]:
+        leg += 1
+        path_errors(x, y, psi, points, leg, errors)
+    return leg
+
+
+NOTHING, PATH, STATION, DOCK = 0, 1, 2, 3
+"""Kinds of tasks."""
+
+TASK = np.dtype(
+    [
+        ("leg", float),  # from way point ``leg`` to the next
+        ("errors", float, len(ERRORS)),  # true errors, see ERRORS
+        ("terms", float, N_TERMS),  # reward since the last decision, term by term
+        ("reward", float),  # and their sum
+        ("terminated", float),  # 1 where the episode is over
+        ("success", float),
+        ("capsized", float),
+        ("known_leg", float),  # leg by what is known on board
+    ]
+)
+"""Progress of one boat in its task."""
+
+RULES = np.dtype(
+    [
+        ("kind", float),  # NOTHING, PATH, STATION or DOCK
+        ("reach", float),  # m, distance at which a way point counts as reached
+        ("speed", float),  # m/s, nominal speed
+        ("area", float),  # m, distance that ends the episode
+        ("unit", float),  # m, distance off the path that counts as 1
+        ("loose", float),  # how much less a distance off the path costs
+        ("motion", float),  # weight of roll and vertical acceleration
+        ("deck", float),  # m, the deck point forward of the origin
+        ("rest", float),  # m/s, a boat that is slower is at rest
+        ("terms", float),  # parts of the reward but for motion
+        ("weights", float, N_TERMS),  # factor of each part
+    ]
+)
+"""What is common to the tasks of all boats."""
+
+
+@kernel
+def score_step(
+    state: np.ndarray,
+    rate: np.ndarray,
+    action: np.ndarray,
+    before: np.ndarray,
+    points: np.ndarray,
+    rules: Record,
+    task: Record,
+) -> None:
+    """Write errors and end of one step of one boat, and add its reward terms, from the truth.
+
+    ``rate`` (16,) is the mean time derivative of ``state`` over the step. ``action`` and ``before``
+    (A,) are those of this step and the step before. All of the task's record is written but
+    ``known_leg``.
+    """
+    errors = task.errors
+    leg = follow(
+        state[fr.X], state[fr.Y], state[fr.PSI], points, int(task.leg), rules.reach, errors
+    )
+    task.leg = leg
+    # the mast points below the horizon
+    capsized = math.cos(state[fr.PHI]) * math.cos(state[fr.THETA]) < 0.0
+    task.capsized = task.terminated = 1.0 if capsized else 0.0
+    if rules.kind == NOTHING:
+        return
+    change, fifth = 0.0, 0.0
+    for j in range(action.shape[0]):
+        change += abs(action[j] - before[j])
+    if rules.kind == PATH:
+        angle = errors[COURSE_ERROR]
+        along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
+        # too fast costs as much as too slow by the same amount
+        first = 1.0 - abs(along / rules.speed - 1.0)
+        second = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), 2.0)
+        reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
+        far = abs(errors[CROSS_TRACK]) > rules.area
+        over = reached or far
+    elif rules.kind == DOCK:
+        angle, at_berth = errors[COURSE_ERROR], leg + 2 == points.shape[0]
+        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
+        if not at_berth:
+            distance = errors[TO_GO] + math.hypot(
+                points[leg + 2, 0] - points[leg + 1, 0], points[leg + 2, 1] - points[leg + 1, 1]
+            )
+        speed = math.hypot(state[fr.U], state[fr.V])
+        # slower and slower over the last six lengths
+        fast = speed / rules.speed - min(max(distance, 0.0) / (3.0 * rules.reach), 1.0)
+        first = -0.5 * max(distance, 0.0) / rules.unit
+        second = -0.5 * max(fast, 0.0)
+        fifth = -0.25 * (1.0 - math.cos(angle)) if at_berth else 0.0
+        reached = at_berth and distance < 0.25 * rules.reach and speed < rules.rest
+        reached = reached and abs(angle) < ALONGSIDE
+        quay = at_berth and errors[TO_GO] < -0.5 * rules.reach
+        far = quay or abs(errors[CROSS_TRACK]) > rules.area
+        over = reached or far
+    else:
+        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
+        speed = math.hypot(state[fr.U], state[fr.V])
+        first = -0.5 * distance / rules.unit
+        second = -0.1 * speed / rules.speed
+        reached = distance < rules.reach
+        over = far = distance > rules.area
+    weights = rules.weights
+    first, second, third = weights[0] * first, weights[1] * second, weights[2] * -0.05 * change
+    fourth = weights[3] * -FAILURE if far or capsized else 0.0
+    task.terms[0] += first
+    task.terms[1] += second
+    task.terms[2] += third
+    task.terms[3] += fourth
+    task.reward += first + second + third + fourth
+    if rules.kind == DOCK:
+        fifth *= weights[4]
+        task.terms[4] += fifth
+        task.reward += fifth
+    if rules.motion > 0.0:
+        # of the deck point, along the mast
+        lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
+        lift -= rules.deck * (rate[fr.Q] - state[fr.P] * state[fr.R])
+        rough = (state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2
+        k = int(rules.terms)
+        last = -rules.motion * weights[k] * min(rough, MOTION_MOST)
+        task.terms[k] += last
+        task.reward += last
+    task.success = 1.0 if reached and not capsized else 0.0
+    if over:
+        task.terminated = 1.0
