@@ -217,14 +217,19 @@ class Docking(LOS):
         super().fit(vessel, speed, dt, reach, n)
         self._backing = np.zeros(n, dtype=np.bool_)
 
+    def forget(self, boats: NDArray[np.bool_]) -> None:
+        """See :meth:`LOS.forget`."""
+        super().forget(boats)
+        self._backing = self._backing & ~boats
+
     def steer(self, motion: Array) -> Array:
         """See :meth:`LOS.steer`; a leg without a next turn is that of the berth."""
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
         L, last = self.length, (np.abs(sin_turn) < 1e-6) & (cos_turn > 0.0)
         left = np.where(last, to_go, to_go + self.slow * L)
         wide = np.abs(e) > self.aside * L + 0.5 * np.maximum(to_go, 0.0)
-        self._backing |= last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
-        self._backing &= last & (to_go < self.back_off * L)
+        self._backing = self._backing | last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
+        self._backing = self._backing & last & (to_go < self.back_off * L)
         back = self._backing
         wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, 1.0))
         shaft = self.shaft * (wanted + self.push * (wanted - u))
@@ -336,7 +341,7 @@ def wrapped(angle: Array) -> Array:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-BASES = ("los", "los-twin", "los-oracle")
+BASES = ("los", "los-twin", "los-oracle", "dock-twin", "dock-oracle")
 """Names of those that a trained agent may correct: quick, and they forget boat by boat."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {

@@ -35,9 +35,9 @@ SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 
 ALGORITHMS = {
     "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
-    "ppo-residual": ("stable_baselines3", "PPO", "MlpPolicy"),
     "sac": ("stable_baselines3", "SAC", "MlpPolicy"),
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
+    "ppo-residual": ("stable_baselines3", "PPO", "MlpPolicy"),
 }
 """Module, class and policy of each algorithm."""
 

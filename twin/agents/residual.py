@@ -14,13 +14,14 @@ __all__ = ["Residual", "make_base", "residual_of"]
 class Residual(NamedTuple):
     """A controller, and what a correction of 1 adds to its action."""
 
-    base: str = "los-twin"
+    base: str
     share: float = 0.5
 
 
-def residual_of(algo: str, given: Mapping[str, Any]) -> Residual | None:
+def residual_of(algo: str, given: Mapping[str, Any], task: str) -> Residual | None:
     """Return what an algorithm corrects, by the table [residual] of its hyperparameters."""
-    return Residual(**given) if algo in CORRECTING else None
+    base = "dock-twin" if task == "docking" else "los-twin"
+    return Residual(**{"base": base, **given}) if algo in CORRECTING else None
 
 
 def make_base(residual: Residual) -> LOS:

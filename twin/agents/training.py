@@ -39,6 +39,7 @@ from twin.agents.residual import Residual, make_base, residual_of
 from twin.agents.warm_start import actor_layers, start_from
 from twin.sim.compact import COMPACT_SETS
 from twin.sim.wrapper import resolved
+from usv_gym.envs.tasks import make_task
 from usv_kernel import __version__
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import read_json, read_limited, write_whole
@@ -221,7 +222,7 @@ class _Learner:
 
     def __init__(
         self, plan: Plan, folder: Path, hyper: dict[str, Any], curve_seeds: tuple[int, ...],
-        num_threads: int,
+        num_threads: int = 1,
     ) -> None:  # fmt: skip
         self.plan, self.folder, self.curve_seeds = plan, folder, curve_seeds
         self.hyper = hyper
@@ -236,8 +237,11 @@ class _Learner:
         for name in ("n_timesteps", "observation"):
             options.pop(name, None)
         reward = {"scale": 1.0, "least": -np.inf, **options.pop("reward", {})}
-        weights = {**options.pop("reward_weights", {}), **plan.reward_weights}
-        self.residual = residual_of(plan.algo, options.pop("residual", {}))
+        terms = make_task(plan.task, 1, 1.0, 1.0).terms
+        nominal = options.pop("reward_weights", {})
+        weights = {name: nominal[name] for name in nominal if name in terms}
+        weights |= plan.reward_weights
+        self.residual = residual_of(plan.algo, options.pop("residual", {}), plan.task)
         self.n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
         env = plan.environment | {"reward_weights": weights or None, "num_threads": num_threads}
         made = make_envs(self.n, observation=self._observation(), autoreset_mode="SameStep", **env)
@@ -288,7 +292,7 @@ class _Learner:
         self._added = [name for name in entries if name not in seen]
         return [*seen, *self._added]
 
-    def learn(self, progress: bool, callback: Any) -> None:
+    def learn(self, progress: bool = False, callback: Any = None) -> None:
         """Train to the end, or to where the callback ends it."""
         from stable_baselines3.common.callbacks import BaseCallback
 
@@ -483,8 +487,9 @@ def _seed_of(seed: int, steps: int) -> int:
 
 
 def policy_of(
-    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any], residual: Residual | None
-) -> Policy:
+    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any],
+    residual: Residual | None = None,
+) -> Policy:  # fmt: skip
     """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
 
     The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file. ``residual`` is what

@@ -81,8 +81,9 @@ def _unscaled(policy: Policy, first: Any, envs: VecNormalize) -> tuple[Any, Any]
     """
     weights, bias = first[0], first[-1]
     if envs.norm_obs:
-        envs.obs_rms.mean, envs.obs_rms.var = policy.mean.copy(), policy.sd**2  # type: ignore[union-attr]
-        envs.obs_rms.count = COUNT  # type: ignore[union-attr]
+        averages: Any = envs.obs_rms
+        averages.mean, averages.count = policy.mean.copy(), COUNT
+        averages.var = np.maximum(policy.sd**2 - envs.epsilon, 0.0)
         return weights, bias
     scaled = weights / policy.sd
     return scaled, bias - scaled @ policy.mean
