@@ -68,7 +68,7 @@ class ResidualVecEnv(VecEnvWrapper):
             last, ended = obs.copy(), np.flatnonzero(dones)
             for i in ended:
                 last[i] = infos[i]["terminal_observation"]
-            shown = _beside(last[:, : self.seen], copy.copy(self.base).act(last))
+            shown = _joined(last[:, : self.seen], copy.copy(self.base).act(last))
             for i in ended:
                 infos[i]["terminal_observation"] = shown[i]
             self.base.forget(dones)
@@ -77,10 +77,10 @@ class ResidualVecEnv(VecEnvWrapper):
     def _seen(self, obs: Any) -> NDArray[np.float32]:
         """Return what the agent sees; the controller decides once for each observation."""
         self._actions = self.base.act(obs)
-        return _beside(obs[:, : self.seen], self._actions)
+        return _joined(obs[:, : self.seen], self._actions)
 
 
-def _beside(obs: NDArray[np.float32], actions: NDArray[np.float64]) -> NDArray[np.float32]:
+def _joined(obs: NDArray[np.float32], actions: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return observations with actions behind them."""
     return np.concatenate([obs, actions], axis=1, dtype=np.float32, casting="same_kind")
 

@@ -16,6 +16,7 @@ from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
 from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError, Policy
+from twin.agents.recording.dataset import check_dataset, write_dataset
 from twin.agents.recording.video import check_video, record_video
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
@@ -86,6 +87,14 @@ def evaluate_command(
             help="Write a video of the first episode, all agents side by side: .mp4 or .gif."
         ),
     ] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Write all episodes of an agent, with the twin's forecasts, as a Minari data set: "
+            "usv/los-twin-v0.",
+        ),
+    ] = None,
     jobs: JobsOption = 1,
     backend: BackendOption = "loky",
 ) -> None:
@@ -104,6 +113,8 @@ def evaluate_command(
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     if video is not None:
         check_video(video, len(agents))
+    if minari is not None:
+        check_dataset(minari, len(agents))
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:
         log_dir.mkdir(parents=True, exist_ok=True)
@@ -129,6 +140,10 @@ def evaluate_command(
         first = {"seed": where["seeds"][0], "sea": seas[0], "faults": outages[0]}
         frames = record_video(video, [agent for _model, agent in agents], **first, **same)
         console.print(f"video of seed {first['seed']}, {frames} frames: {video}")
+    if minari is not None:
+        grid = {name: where[name] for name in ("seeds", "seas", "outages")}
+        count = write_dataset(minari, agents[0][1], **grid, **same)
+        console.print(f"Minari data set of {count} episodes: {minari}")
     if json_file is not None:
         write_json(json_file, found)
         console.print(f"every episode: {json_file}")
@@ -218,7 +233,7 @@ def _episodes(labels: dict[str, str], found: list[dict[str, Any]], task: str) ->
     means = ("success", "failed", "time,\ns", "return", "forecast\nerror, m")
     heads = ("agent", "sea", "loss", "off path,\nm", *means)
     title = f"task {task}: median distance off the path [95 % interval], and means"
-    table = new_table(title, *heads, left=heads[:3])
+    table = new_table(title, *heads, left=heads[:3], padding=0)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in found:
