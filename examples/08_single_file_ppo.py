@@ -3,8 +3,9 @@
     python examples/08_single_file_ppo.py
     python examples/08_single_file_ppo.py --decisions 786432 --sea "0|2|4" --faults "none|gps30"
 
-It prints how far the boats were off the path, and writes the policy. Ctrl-C ends it early and
-keeps what was learned. All arguments: ``--help``.
+It prints how far the boats were off the path, and writes the policy; ``usv-twin evaluate
+ppo_policy.npz los-twin`` compares it. Ctrl-C ends it early and keeps what was learned. All
+arguments: ``--help``.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import torch
 from torch import nn
 
 import usv_gym  # noqa: F401 - registers the environment
+from twin.agents.policy import Policy
 
 
 @dataclass
@@ -41,27 +43,6 @@ class Args:
     reward_scale: float = 0.1
     reward_least: float = -10.0  # a failure costs much more than any decision else
     policy: str = "ppo_policy.npz"  # written at the end
-
-
-# entries of the observation that the agent sees, each with its centre and its scale
-# fmt: off
-INPUTS = {
-    "twin_surge": (1.0, 0.2), "twin_sway": (0.0, 0.1), "twin_yaw_rate": (0.0, 0.15),
-    "twin_cross_track": (0.0, 0.2), "twin_to_go": (0.4, 0.3), "twin_sd_starboard": (0.1, 0.2),
-    "twin_cos_course_error": (1.0, 0.3), "twin_sin_course_error": (0.0, 0.4),
-    "twin_cos_next_turn": (0.8, 0.3), "twin_sin_next_turn": (0.0, 0.5),
-    "shaft_left": (0.7, 0.2), "drive_left": (0.0, 0.4), "gps_age": (0.0, 2.0),
-}
-# fmt: on
-
-
-def network_inputs(obs, names):
-    """Return what the networks see: the entries above, and how near the end of the leg is."""
-    centre, scale = np.array(list(INPUTS.values())).T
-    x = np.clip((obs[:, [names.index(name) for name in INPUTS]] - centre) / scale, -5.0, 5.0)
-    # to_go is in units of ten lengths, 75 m; a way point counts as reached at two lengths
-    near = np.exp(-np.maximum(75.0 * obs[:, names.index("twin_to_go")] - 15.0, 0.0) / 10.0)
-    return torch.from_numpy(np.column_stack([x, near])).float()
 
 
 def network(inputs, outputs, last):
@@ -91,34 +72,37 @@ class Boats:
 
     def __init__(self, args):
         self.args, self.rng = args, np.random.default_rng(args.seed)
-        task = {"sea": args.sea, "faults": args.faults, "max_episode_steps": args.episode}
         self.envs = gym.make_vec(
-            "USVTwin-v0", args.boats, frame_skip=10, autoreset_mode="SameStep", twin="ukf", **task
+            "USVTwin-v0",
+            num_envs=args.boats,
+            observation="compact",  # fourteen entries of one size
+            twin="ukf",
+            frame_skip=10,
+            max_episode_steps=args.episode,
+            autoreset_mode="SameStep",
+            sea=args.sea,
+            faults=args.faults,
+            reward_weights={"cross_track": args.cross_track},
         )
-        self.names = self.envs.observation_names
 
     def reset(self):
         # boats that begin together would end together
         first = self.rng.integers(1, self.args.episode + 1, self.args.boats)
         obs, _ = self.envs.reset(seed=self.args.seed, options={"first_episode_steps": first})
-        return network_inputs(obs, self.names)
+        return torch.from_numpy(obs)
 
     def step(self, actions):
         """Return inputs, rewards, ends, cut off boats with their last inputs, distances."""
         args = self.args
         obs, rewards, terminated, truncated, infos = self.envs.step(np.clip(actions, -1.0, 1.0))
-        terms = infos["reward_terms"]["cross_track"].copy()
         off = np.abs(infos["cross_track_m"])
         ended, cut, final = terminated | truncated, np.flatnonzero(truncated & ~terminated), None
         if ended.any():  # infos are those of the new episode there
-            last = infos["final_info"]
-            terms[ended] = last["reward_terms"]["cross_track"][ended]
-            off[ended] = np.abs(last["cross_track_m"][ended])
+            off[ended] = np.abs(infos["final_info"]["cross_track_m"][ended])
         if len(cut):
-            final = network_inputs(np.stack(infos["final_obs"][cut]), self.names)
-        rewards = args.reward_scale * (rewards + (args.cross_track - 1.0) * terms)
-        rewards = torch.from_numpy(np.maximum(rewards, args.reward_least)).float()
-        return network_inputs(obs, self.names), rewards, ended, (cut, final), off
+            final = torch.from_numpy(np.stack(infos["final_obs"][cut]))
+        rewards = np.maximum(args.reward_scale * rewards, args.reward_least)
+        return torch.from_numpy(obs), torch.from_numpy(rewards).float(), ended, (cut, final), off
 
 
 def collect(agent, boats, x, args):
@@ -189,6 +173,17 @@ def train(args):
     return agent, curve
 
 
+def save(agent, args):
+    """Write the actor as a policy that ``usv-twin`` reads, with numpy alone."""
+    names = gym.make("USVTwin-v0", observation="compact", twin="ukf").unwrapped.observation_names
+    linear = [layer for layer in agent.actor if isinstance(layer, nn.Linear)]
+    layers = [(one.weight.detach().numpy(), one.bias.detach().numpy()) for one in linear]
+    settings = {**vars(args), "frame_skip": 10, "max_episode_steps": args.episode}
+    mean, sd = np.zeros(len(names)), np.ones(len(names))
+    policy = Policy("single-file-ppo", "compact", names, settings, mean, sd, 1e6, layers)
+    policy.save(args.policy)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="PPO in one file on USVTwin-v0.")
     for one in fields(Args):
@@ -196,5 +191,5 @@ if __name__ == "__main__":
         parser.add_argument(option, type=type(one.default), default=one.default)
     args = Args(**vars(parser.parse_args()))
     agent, _ = train(args)
-    np.savez(args.policy, **{name: part.numpy() for name, part in agent.state_dict().items()})
+    save(agent, args)
     print(args.policy)
