@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
 from twin.agents.mpc import ModelPredictive
 from usv_gym.envs.episodes import AGE_SCALE
-from usv_gym.envs.scoring import ERRORS, follow
+from usv_gym.envs.scoring import ALONGSIDE, ERRORS, follow
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.jit import kernel
@@ -27,6 +27,7 @@ from usv_kernel.jit import kernel
 __all__ = [
     "BASES",
     "CONTROLLERS",
+    "DOCKING",
     "LOS",
     "DeadReckoningLOS",
     "Docking",
@@ -190,6 +191,11 @@ class Docking(LOS):
         Distance to the side of the leg that is too far at the berth, lengths.
     back_off : float
         How far it backs off, lengths.
+    fastest : float
+        Speed that it keeps until then, nominal speeds.
+    turning : float
+        Least shaft speed, in nominal ones, with which a large heading error is steered: without
+        thrust nothing turns the boat.
     """
 
     def __init__(
@@ -198,19 +204,24 @@ class Docking(LOS):
         observation: str = "twin",
         source: str = "twin_",
         *,
-        slow: float = 6.0,
+        slow: float = 8.0,
         push: float = 3.0,
         aside: float = 0.45,
         back_off: float = 3.0,
+        fastest: float = 0.4,
+        turning: float = 0.3,
         **options: Any,
     ) -> None:
-        super().__init__(name, observation, source, **{"lookahead": 2.0, **options})
-        numbers = slow, push, aside, back_off
+        own = {"lookahead": 3.0, "gain": 2.0, "damping": 1.0}
+        super().__init__(name, observation, source, **{**own, **options})
+        numbers = slow, push, aside, back_off, fastest, turning
         if not all(math.isfinite(x) and x > 0.0 for x in numbers):
             raise ControllerError(
-                f"{name}: slow, push, aside, back_off = {numbers}: must be finite and above 0"
+                f"{name}: slow, push, aside, back_off, fastest, turning = {numbers}: must be "
+                "finite and above 0"
             )
-        self.slow, self.push, self.aside, self.back_off = numbers
+        self.slow, self.push, self.aside, self.back_off = numbers[:4]
+        self.fastest, self.turning = numbers[4:]
 
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
         """See :meth:`LOS.fit`."""
@@ -231,8 +242,7 @@ class Docking(LOS):
         self._backing = self._backing | last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
         self._backing = self._backing & last & (to_go < self.back_off * L)
         back = self._backing
-        wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, 1.0))
-        shaft = self.shaft * (wanted + self.push * (wanted - u))
+        wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, self.fastest))
         ahead = self.lookahead * L
         beyond = np.where(last, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
         course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
@@ -241,6 +251,9 @@ class Docking(LOS):
         error = wrapped(course - np.where(back, -1.0, 1.0) * np.arctan2(offset, ahead))
         step = self.integral * self.dt * self.speed * ahead / (ahead**2 + offset**2)
         self._drift = self._drift + np.where(back, 0.0, step * e)
+        part = np.minimum(np.abs(error) / ALONGSIDE, 1.0)
+        least = np.where(back | (to_go < 0.3 * L), -np.inf, self.turning * part)
+        shaft = self.shaft * np.maximum(wanted + self.push * (wanted - u), least)
         helm = self.gain * error - self.damping * L / self.speed * r
         # drives push the stern to the other side while they turn astern
         helm = np.where(shaft < 0.0, -helm, helm)
@@ -349,11 +362,15 @@ CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los-dr": DeadReckoningLOS,
     "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
     "mpc-twin": ModelPredictive,
-    "dock-twin": Docking,
-    "dock-oracle": lambda **options: Docking("dock-oracle", "oracle", "true_", **options),
     "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
 }
-"""Controllers by name; each call gives a new one."""
+"""Controllers of paths by name; each call gives a new one."""
+
+DOCKING: dict[str, Callable[..., Agent]] = {
+    "dock-twin": Docking,
+    "dock-oracle": lambda **options: Docking("dock-oracle", "oracle", "true_", **options),
+}
+"""Those of the task ``docking``."""
 
 
 def make_controller(name: str, **options: Any) -> Agent:
@@ -362,7 +379,7 @@ def make_controller(name: str, **options: Any) -> Agent:
     Parameters
     ----------
     name : str
-        One of :data:`CONTROLLERS`.
+        One of :data:`CONTROLLERS` or :data:`DOCKING`.
     **options
         Those of its class, such as ``lookahead`` of :class:`LOS`.
 
@@ -371,9 +388,10 @@ def make_controller(name: str, **options: Any) -> Agent:
     ControllerError
         Lists the names, or the options, that there are.
     """
-    if name not in CONTROLLERS:
-        raise ControllerError(f"no controller is called {name!r}; known: {', '.join(CONTROLLERS)}")
+    known = CONTROLLERS | DOCKING
+    if name not in known:
+        raise ControllerError(f"no controller is called {name!r}; known: {', '.join(known)}")
     try:
-        return CONTROLLERS[name](**options)
+        return known[name](**options)
     except TypeError as error:
         raise ControllerError(f"{name}: {error}") from None

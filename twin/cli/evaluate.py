@@ -170,7 +170,9 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
             return [(model, getattr(importlib.import_module(module), name)())]
         except (ImportError, AttributeError) as error:
             raise AgentError(f"{model}: {error}; write module:Class") from None
-    known = study.controllers()
+    from twin.agents.controllers import DOCKING  # compiled code, for names alone
+
+    known = study.controllers() | DOCKING
     if model in known:
         return [(model, known[model]())]
     raise AgentError(

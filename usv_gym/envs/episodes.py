@@ -424,7 +424,7 @@ class Episodes:
         self.kinds = [self._kind(vessel, config) for vessel in vessels]
         """What differs between the vessels of which an episode draws one."""
         self.speed, self.task, self.nominal_action = self.kinds[0][1:]
-        self.width = len(self.nominal_action)
+        self.width, self._own = len(self.nominal_action), self.task.is_own
         for row, kind in zip(self.configs, self.kinds, strict=True):
             kind.task.records, kind.task.points = self.records["task"], self.task.points
             v, mixing = kind.vessel.values, _mixing(kind.vessel, config)
@@ -522,8 +522,7 @@ class Episodes:
             False, with nothing done, if an action is no number.
         """
         for left in self._countdown:
-            own = self.task.is_own
-            before, active = self._before_step() if own else (None, None)
+            before, active = self._before_step() if self._own else (None, None)
             if not self._step(obs, left):
                 return False
             if before is not None and active is not None:

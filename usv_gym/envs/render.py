@@ -129,7 +129,8 @@ class Renderer:
             self.trails[i],
         )
         t, age = sim.t.item(i), self.episodes.records["age"].item(i, 0)
-        record, goal = task.records[i], task.kind != NOTHING
+        record, goal = task.records[i], task.kind != NOTHING or task.is_own
+        kind = episodes.kinds[int(episodes.records["kind"][i])]
         terms = record["terms"].tolist()
         north, east = wx.air_velocity(t, sim.gusts[i], sim.weather[i])
         waves = sim.waves[i]
@@ -139,8 +140,8 @@ class Renderer:
         to_north, to_east = (energy @ (waves[k] / number) for k in (wv.K_NORTH, wv.K_EAST))
         gain = wx.wave_gain(t, sim.weather[i])
         return Scene(
-            vessel=episodes.vessel,
-            speed=episodes.speed,
+            vessel=kind.vessel,
+            speed=kind.speed,
             t=t,
             state=sim.state[i].copy(),
             view=trail.view,

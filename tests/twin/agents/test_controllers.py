@@ -9,6 +9,7 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import ControllerError
 from twin.agents.controllers import CONTROLLERS, make_controller
+from twin.agents.evaluation import evaluate
 from twin.agents.mpc import ModelPredictive
 from usv_gym.world.faults import Fault
 from usv_gym.world.sensors import SensorSuite
@@ -164,3 +165,24 @@ def test_errors_name_the_remedy():
         ModelPredictive().begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="persistence"))
     with pytest.raises(ControllerError, match="actions='common'"):
         los.begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="ukf", actions="units"))
+
+
+def docked(name, seeds, **options):
+    """Return the share of episodes in which a boat comes to rest in its berth."""
+    rows = evaluate(make_controller(name), seeds=seeds, task="docking", **options)
+    return float(np.mean([row["success"] for row in rows])), rows
+
+
+def test_a_boat_is_docked_in_wind_and_current_without_gps_for_a_while():
+    """On seeds that nothing was tuned on; line of sight alone does not stop at the berth."""
+    worlds = {"faults": "gps10", "current": "any", "wind_from_deg": "any"}
+    share, rows = docked("dock-twin", range(8000, 8012), **worlds)
+    assert share > 0.75 and not any(row["failed"] for row in rows)
+    assert docked("los-twin", range(8000, 8012), **worlds)[0] < 0.5
+    assert docked("dock-oracle", range(8000, 8012), **worlds)[0] > 0.75
+
+
+def test_options_of_docking_are_checked():
+    for wrong in ({"slow": 0.0}, {"push": float("nan")}, {"lookahead": -1.0}):
+        with pytest.raises(ControllerError, match=next(iter(wrong))):
+            make_controller("dock-twin", **wrong)

@@ -226,3 +226,10 @@ def test_vessels_that_cannot_share_an_environment_are_refused() -> None:
         USVEnv(vessel="usv75|otter", actions="units")
     with pytest.raises(VesselError, match=r"with dof=6.*without_table"):
         USVEnv(vessel="usv75|kvlcc2", dof=6)
+
+
+def test_pictures_show_the_vessel_that_was_drawn() -> None:
+    envs = USVVectorEnv(6, vessel="usv75|otter", render_mode="rgb_array")
+    _, infos = envs.reset(seed=0)
+    drawn = [envs.renderer.scene(i).vessel.name for i in range(6)]
+    assert drawn == infos["drawn"]["vessel"].tolist() and len(set(drawn)) == 2
