@@ -98,22 +98,21 @@ def test_a_saved_residual_acts_as_in_its_training(tmp_path):
 
 def test_a_controller_forgets_a_boat_where_its_episode_ends():
     boats = corrected(3, max_episode_steps=50, sea="4")
-    boats.set_options({"first_episode_steps": np.array([2, 50, 3])})
+    boats.set_options({"first_episode_steps": np.array([8, 50, 9])})
     boats.seed(1)
     boats.reset()
-    before = []
-    for k in range(3):
-        before.append(boats.base._drift.copy())
+    for k in range(9):
+        before = boats.base._drift.copy()
         seen, _, dones, infos = boats.step(np.zeros((3, 2)))
-        assert dones.tolist() == [k == 1, False, k == 2]
+        assert dones.tolist() == [k == 7, False, k == 8]
         for i in np.flatnonzero(dones):
             last = infos[i]["terminal_observation"]
             assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
-            fresh = make_controller("los-twin")
-            assert isinstance(fresh, LOS)
-            # it begins as a new one: its integral has one decision, of the new episode
-            assert abs(boats.base._drift[i]) < 0.05
-    assert boats.base._drift[1] != 0.0
+            fresh = LOS("los-twin", "twin", "twin_")
+            fresh.begin(boats.envs)
+            fresh.act(boats.envs._shown())
+            assert boats.base._drift[i] == fresh._drift[i] != before[i]
+            assert boats.base._drift[1] != fresh._drift[1]
     boats.close()
 
 
