@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import importlib
 import importlib.util
 import io
 import json
@@ -42,7 +41,7 @@ from twin.sim.wrapper import resolved
 from usv_gym.envs.tasks import make_task
 from usv_kernel import __version__
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.files import read_json, read_limited, write_whole
+from usv_kernel.files import import_named, read_json, read_limited, write_whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
@@ -94,6 +93,8 @@ class Plan:
     frame_skip: int = FRAME_SKIP
     max_episode_steps: int = EPISODE
     vessel_spread: float = 0.0  # of the boats
+    # further options of the environment, such as current and wind_from_deg
+    world: Mapping[str, Any] = field(default_factory=dict)
     every: int = EVERY  # decisions between two checkpoints
     # weights of terms of the reward, beside those of the hyperparameters
     reward_weights: Mapping[str, float] = field(default_factory=dict)
@@ -123,7 +124,8 @@ class Plan:
         """Options of :func:`~twin.agents.evaluation.make_envs`."""
         named = ("twin", "task", "sea", "faults", "vessel", "frame_skip", "max_episode_steps")
         options = {name: getattr(self, name) for name in named}
-        return options | ({"vessel_spread": self.vessel_spread} if self.vessel_spread else {})
+        options |= {"vessel_spread": self.vessel_spread} if self.vessel_spread else {}
+        return options | dict(self.world)
 
 
 @dataclass(frozen=True)
@@ -432,11 +434,7 @@ def callback_named(name: str) -> Any:
     """Return a callback of Stable-Baselines3 by ``module:function``, or of a class by its name."""
     from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 
-    module, _colon, function = name.partition(":")
-    try:
-        found = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise AgentError(f"--callback {name}: {error}; write module:function") from None
+    found = import_named(name, AgentError, f"--callback {name}", "module:function")
     if isinstance(found, type) and issubclass(found, BaseCallback):
         return found()
     if not callable(found):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +31,7 @@ from twin.cli.common import (
 from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
+from usv_kernel.files import import_named
 
 EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
 
@@ -164,12 +164,8 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
         ]
     if path.suffix == ".npz":
         return [(model, Policy.load(path))]
-    module, colon, name = model.partition(":")
-    if colon:
-        try:
-            return [(model, getattr(importlib.import_module(module), name)())]
-        except (ImportError, AttributeError) as error:
-            raise AgentError(f"{model}: {error}; write module:Class") from None
+    if ":" in model:
+        return [(model, import_named(model, AgentError, model)())]
     from twin.agents.controllers import DOCKING  # compiled code, for names alone
 
     known = study.controllers() | DOCKING
@@ -200,8 +196,11 @@ def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
                 + (f", or name --{name.replace('_', '-')}" if name in named[:4] else "")
             )
         (options[name],) = trained
+    worlds = [agent.settings.get("world", {}) for agent in agents if isinstance(agent, Policy)]
+    if any(world != worlds[0] for world in worlds):
+        raise AgentError(f"these were trained in other worlds, {worlds}: evaluate them one by one")
     del options["sea"], options["faults"]
-    return options
+    return (worlds[0] if worlds else {}) | options
 
 
 def _labels(models: list[str]) -> dict[str, str]:

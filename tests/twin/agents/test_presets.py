@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from twin.agents.evaluation import evaluate, make_envs
 from twin.agents.hyperparameters import check_hyperparameters, hyperparameters
 from twin.agents.policy import AgentError, Policy
 from twin.agents.training import Plan, train
+from twin.cli.evaluate import trained_with
 from usv_gym.envs.sb3 import SB3VecEnv
 
 TINY = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
@@ -217,6 +220,17 @@ def test_entries_spread_and_weights_reach_the_boats(tmp_path):
     assert row["agent"] == "ppo-3-entries"
 
 
+def test_an_agent_is_evaluated_in_the_world_of_its_training(tmp_path):
+    run(tmp_path / "run", world={"current": (0.4, 90.0)})
+    policy = Policy.load(tmp_path / "run")
+    options = trained_with([policy], {})
+    assert options["current"] == [0.4, 90.0] and "sea" not in options
+    envs = make_envs(1, observation="compact", **options)
+    assert envs.reset(seed=1)[1]["drawn"]["current_mps"] == pytest.approx(0.4)
+    with pytest.raises(AgentError, match="were trained in other worlds"):
+        trained_with([policy, run(tmp_path / "other").policy], {})
+
+
 CALLS: list[int] = []
 
 
@@ -285,7 +299,7 @@ def test_train_takes_entries_weights_spread_and_callback(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text("n_envs = 4\nn_steps = 16\nbatch_size = 32\nn_epochs = 1\n")
     (tmp_path / "watch.py").write_text("def say(local, _):\n    print('called')\n")
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
     words = ("train", "--steps", 64, "--hyper", "tiny.toml", "--sea", "0", "--faults", "none")
     more = ("--reward-weight", "effort=2", "--vessel-spread", "0.1", "--num-threads", 2)
     seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
