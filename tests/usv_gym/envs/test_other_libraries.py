@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import warnings
 
@@ -71,8 +72,11 @@ def test_minari_collects_episodes(tmp_path, monkeypatch):
     while not env.step(np.array([0.7, 0.0], np.float32))[3]:
         pass
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of author and link
+        warnings.simplefilter("ignore")  # of author and link, and of minari's temporary folder
         data = env.create_dataset("usv/collected-v0", algorithm_name="constant")
+        env.close()
+        env = None
+        gc.collect()
     (episode,) = data.iterate_episodes()
     assert episode.observations.shape == (5, 14)
     assert data.recover_environment().spec.kwargs == TASK
