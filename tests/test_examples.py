@@ -16,8 +16,9 @@ ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 STUDY_PAGE = (ROOT / "docs/explanation/study.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-# run by tests/twin/agents/test_ray.py and tests/twin/live/external/test_mission_example.py
-OPTIONAL = {"05_rllib.py", "07_ardurover_mission.py"}
+# run by test_ray.py and test_single_file_ppo.py in tests/twin/agents, and by
+# tests/twin/live/external/test_mission_example.py
+OPTIONAL = {"05_rllib.py", "07_ardurover_mission.py", "08_single_file_ppo.py"}
 EXAMPLES = [p for p in sorted((ROOT / "examples").glob("*.py")) if p.name not in OPTIONAL]
 
 

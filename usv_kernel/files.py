@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import sys
@@ -20,6 +21,7 @@ else:
 
 __all__ = [
     "WriteError",
+    "import_named",
     "parse_json",
     "read_json",
     "read_limited",
@@ -146,3 +148,21 @@ def _check_values(path: Path, value: Any, error: type[UsvTwinError]) -> None:
             left += [(name, depth + 1, part) for part in item]
         elif isinstance(item, int) and abs(item) > INTEGER_MAX:
             raise error(f"{path}: {name[:60]} has more digits than a number may have; correct it")
+
+
+def import_named(
+    name: str, error: type[UsvTwinError], what: str, form: str = "module:Class"
+) -> Any:
+    """Return what ``module:name`` stands for; the module may lie in the working directory.
+
+    ``error`` is raised where it does not exist; ``what`` says where the name was given, and
+    ``form`` what to write.
+    """
+    module, _colon, attribute = name.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # as for python -m
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, TypeError, ValueError) as problem:
+        raise error(f"{what}: {problem}; write {form}") from None

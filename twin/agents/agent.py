@@ -26,12 +26,15 @@ class Agent(Protocol):
     ----------
     name : str
         For tables.
-    observation : str
-        The observation set that it needs, see :func:`twin.sim.wrapper.make_env`.
+    observation : str or list of str
+        The observation set that it needs, or the entries, see :func:`twin.sim.wrapper.make_env`.
     """
 
     name: str
-    observation: str
+
+    @property
+    def observation(self) -> str | list[str]:
+        """See the class."""
 
     def begin(self, envs: USVVectorEnv) -> None:
         """Forget all there was: every boat of ``envs`` begins an episode.

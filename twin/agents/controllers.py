@@ -25,6 +25,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_kernel.jit import kernel
 
 __all__ = [
+    "BASES",
     "CONTROLLERS",
     "DOCKING",
     "LOS",
@@ -100,12 +101,13 @@ class LOS:
         self.name, self.observation, self.source = name, observation, source
         self.lookahead, self.gain, self.damping = lookahead, gain, damping
         self.integral, self.early = integral, early
+        self.entries = (*(source + name for name in PATH), *NAMES[source])
 
     def begin(self, envs: USVVectorEnv) -> None:
         """See :meth:`twin.agents.agent.Agent.begin`."""
         base = envs.unwrapped
         check_actions(self.name, base)
-        self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
+        self._places = places(base, self.entries)
         self.unit = float(base.task.rules["unit"])
         dt = base.simulation.dt * base.frame_skip
         self.fit(base.vessel, base.speed, dt, float(base.task.rules["reach"]), base.num_envs)
@@ -121,6 +123,10 @@ class LOS:
         full, nominal = shaft_speeds(vessel)
         self.shaft = nominal / full
         self._drift = np.zeros(n)
+
+    def forget(self, boats: NDArray[np.bool_]) -> None:
+        """Forget what was remembered of some boats (n,), which begin an episode."""
+        self._drift = np.where(boats, 0.0, self._drift)
 
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`."""
@@ -222,14 +228,19 @@ class Docking(LOS):
         super().fit(vessel, speed, dt, reach, n)
         self._backing = np.zeros(n, dtype=np.bool_)
 
+    def forget(self, boats: NDArray[np.bool_]) -> None:
+        """See :meth:`LOS.forget`."""
+        super().forget(boats)
+        self._backing = self._backing & ~boats
+
     def steer(self, motion: Array) -> Array:
         """See :meth:`LOS.steer`; a leg without a next turn is that of the berth."""
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
         L, last = self.length, (np.abs(sin_turn) < 1e-6) & (cos_turn > 0.0)
         left = np.where(last, to_go, to_go + self.slow * L)
         wide = np.abs(e) > self.aside * L + 0.5 * np.maximum(to_go, 0.0)
-        self._backing |= last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
-        self._backing &= last & (to_go < self.back_off * L)
+        self._backing = self._backing | last & ((wide & (to_go < L)) | (to_go < -0.3 * L))
+        self._backing = self._backing & last & (to_go < self.back_off * L)
         back = self._backing
         wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, self.fastest))
         ahead = self.lookahead * L
@@ -342,6 +353,9 @@ def wrapped(angle: Array) -> Array:
     """Return angles within -pi ... pi, rad."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
+
+BASES = ("los", "los-twin", "los-oracle", "dock-twin", "dock-oracle")
+"""Names of those that a trained agent may correct: quick, and they forget boat by boat."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,

@@ -55,7 +55,7 @@ AFTER_OUTAGE = 20.0
 
 
 def make_envs(
-    n: int, *, observation: str, twin: str = "ukf", frame_skip: int = FRAME_SKIP,
+    n: int, *, observation: str | Sequence[str], twin: str = "ukf", frame_skip: int = FRAME_SKIP,
     max_episode_steps: int = EPISODE, **env: Any,
 ) -> USVVectorEnv:  # fmt: skip
     """Make n boats for an agent, as ``gym.make_vec("USVTwin-v0", ...)`` with its options ``env``.

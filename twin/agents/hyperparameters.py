@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twin.agents.controllers import BASES
 from twin.agents.policy import ACTIVATIONS, AgentError
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ from usv_kernel.files import read_toml
 
 __all__ = [
     "ALGORITHMS",
+    "CORRECTING",
     "SCHEDULES",
     "TIMESTEPS",
     "algorithm_class",
@@ -34,8 +37,12 @@ ALGORITHMS = {
     "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
     "sac": ("stable_baselines3", "SAC", "MlpPolicy"),
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
+    "ppo-residual": ("stable_baselines3", "PPO", "MlpPolicy"),
 }
 """Module, class and policy of each algorithm."""
+
+CORRECTING = ("ppo-residual",)
+"""Those that correct a classical controller."""
 
 
 TIMESTEPS = 131_072
@@ -49,6 +56,9 @@ _OF_POLICIES = {
     *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
     *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
 }
+
+
+_REWARD, _RESIDUAL = {"scale", "least"}, {"base", "share"}
 
 
 _NORMALIZE = {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"}
@@ -76,14 +86,14 @@ def check_hyperparameters(algo: str, values: Mapping[str, Any], where: str) -> N
     """Refuse values that the algorithm does not take; ``where`` names their source."""
     known = {
         *inspect.signature(algorithm_class(algo)).parameters,
-        "n_envs",
-        "n_timesteps",
-        "normalize",
+        *("observation", "n_envs", "n_timesteps", "normalize", "reward", "reward_weights"),
+        *(("residual",) if algo in CORRECTING else ()),
     }
     known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
     # checkpoints and policy files do not have these
     known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
-    tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE}
+    tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE, "reward": _REWARD}
+    tables["residual"] = _RESIDUAL
     for table, names in tables.items():
         found = values.get(table, {}) if table else values
         if not isinstance(found, Mapping):
@@ -95,15 +105,41 @@ def check_hyperparameters(algo: str, values: Mapping[str, Any], where: str) -> N
                     f"{where}: {what} has no {name!r}; it has {', '.join(sorted(names))}"
                 )
     for name, value in values.items():
-        if isinstance(value, str) and name not in _WORDS:
+        if isinstance(value, str) and name not in _WORDS and name != "observation":
             raise AgentError(f"{where}: {name} = {value!r}: must be a number")
     activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
     if not (isinstance(activation, str) and activation in ACTIVATIONS):
         raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
+    _check_tables(algo, values, where)
     for name in ("n_envs", "n_timesteps"):
         value = values.get(name, 1)
         if not (isinstance(value, int) and value >= 1):
             raise AgentError(f"{where}: {name} = {value!r}: must be a whole number, 1 or more")
+
+
+def _check_tables(algo: str, values: Mapping[str, Any], where: str) -> None:
+    """Refuse values of the reward and of what is corrected."""
+    weights = values.get("reward_weights", {})
+    if not isinstance(weights, Mapping):
+        raise AgentError(f"{where}: reward_weights = {weights!r}: must be a table [reward_weights]")
+    numbers = {"reward": {"scale": 1.0, "least": -math.inf}, "residual": {"share": 1.0}}
+    for table, defaults in numbers.items():
+        for name, value in {**defaults, **values.get(table, {})}.items():
+            if name in defaults and not _is_number(value):
+                raise AgentError(f"{where}: [{table}] {name} = {value!r}: must be a number")
+    if values.get("reward", {}).get("scale", 1.0) <= 0.0:
+        raise AgentError(f"{where}: [reward] scale must be above 0")
+    if algo in CORRECTING:
+        residual = values.get("residual", {})
+        if residual.get("base", BASES[0]) not in BASES or not residual.get("share", 1.0) > 0.0:
+            raise AgentError(
+                f"{where}: [residual] = {dict(residual)}: base must be one of {', '.join(BASES)}, "
+                "and share above 0"
+            )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def algorithm_class(algo: str) -> type[BaseAlgorithm]:

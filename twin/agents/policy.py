@@ -55,8 +55,8 @@ class Policy:
     ----------
     name : str
         For tables.
-    observation : str
-        The observation set that it was trained on.
+    observation : str or list of str
+        The observation set that it was trained on, or the entries.
     names : tuple of str
         Name of each entry of the observation.
     settings : dict
@@ -74,10 +74,16 @@ class Policy:
         Of the hidden layers: ``"tanh"`` or ``"relu"``.
     squash : bool
         Actions are the hyperbolic tangent of the last layer; else it is cut off at -1 and 1.
+    base : str
+        Name of a controller that it corrects, one of :data:`twin.agents.controllers.BASES`; empty
+        for none. The net then sees the first entries of the observation, as many as ``mean`` has
+        beside the action of that controller, which comes behind them.
+    share : float
+        Part of its own action that is added to that of the controller.
     """
 
     name: str
-    observation: str
+    observation: str | list[str]
     names: tuple[str, ...]
     settings: dict[str, Any]
     mean: Array
@@ -87,6 +93,9 @@ class Policy:
     lstm: tuple[Array, Array, Array] | None = None
     activation: str = "tanh"
     squash: bool = False
+    base: str = ""
+    share: float = 1.0
+    _controller: Any = field(default=None, init=False, repr=False)
     _hidden: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -111,6 +120,11 @@ class Policy:
                 + f"; make it with observation={self.observation!r}"
             )
         self.forget(envs.num_envs)
+        if self.base:
+            from twin.agents.controllers import make_controller
+
+            self._controller = make_controller(self.base)
+            self._controller.begin(envs)
 
     def forget(self, n: int) -> None:
         """Begin with n boats and an empty memory."""
@@ -128,7 +142,18 @@ class Policy:
             )
         if obs.ndim == 1:
             return self.act(obs[None])[0]
-        x: Array = np.clip((obs - self.mean) / self.sd, -self.clip, self.clip)
+        based: Array | None = None
+        seen: Array = obs
+        if self.base:
+            if self._controller is None:
+                raise AgentError(
+                    f"policy {self.name} corrects {self.base}: call begin(envs) before act(obs)"
+                )
+            based = self._controller.act(obs)
+            seen = np.concatenate(
+                [obs[:, : len(self.mean) - ACTIONS], based], axis=1, dtype=obs.dtype
+            )
+        x: Array = np.clip((seen - self.mean) / self.sd, -self.clip, self.clip)
         if self.lstm is not None:
             if self._hidden is None:
                 raise AgentError(f"policy {self.name} remembers: call begin(envs) before act(obs)")
@@ -144,7 +169,8 @@ class Policy:
             x = activate(x @ weights.T + bias)
         weights, bias = self.layers[-1]
         x = x @ weights.T + bias
-        return np.tanh(x) if self.squash else np.clip(x, -1.0, 1.0)
+        action = np.tanh(x) if self.squash else np.clip(x, -1.0, 1.0)
+        return action if based is None else np.clip(based + self.share * action, -1.0, 1.0)
 
     def save(self, path: str | Path) -> None:
         """Write it to a file, whole or not at all."""
@@ -152,6 +178,7 @@ class Policy:
             **{"format": FORMAT, "name": self.name, "observation": self.observation},
             **{"names": self.names, "settings": self.settings, "clip": self.clip},
             **{"activation": self.activation, "squash": self.squash},
+            **({"base": self.base, "share": self.share} if self.base else {}),
         }
         arrays: dict[str, Any] = {
             "notes": np.array(json.dumps(notes)),
@@ -204,9 +231,11 @@ class Policy:
 
     def _check(self) -> None:
         """Refuse what cannot act: AgentError names the part."""
-        for name in ("name", "observation"):
+        for name in ("name", "base"):
             if not isinstance(getattr(self, name), str):
                 raise AgentError(f"{name} is no text")
+        if not isinstance(self.observation, str) and list(self.names) != self.observation:
+            raise AgentError("observation is neither a text nor the list of names")
         names = self.names
         if not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
             raise AgentError("names must be texts, each once")
@@ -218,6 +247,13 @@ class Policy:
         if not number or not self.clip > 0.0:
             raise AgentError("clip must be a number above 0")
         inputs = len(names)
+        if self.base:
+            share = self.share
+            if not isinstance(share, (int, float)) or not 0.0 < share <= VALUE_MAX:
+                raise AgentError("share must be a number above 0")
+            inputs = np.size(self.mean)
+            if not ACTIONS < inputs <= len(names) + ACTIONS:
+                raise AgentError(f"mean has {inputs} entries; it corrects, and sees {len(names)}")
         _check_array("mean", self.mean, (inputs,))
         _check_array("sd", self.sd, (inputs,), least=SD_MIN)
         if self.lstm is not None:

@@ -14,8 +14,8 @@ import importlib.util
 import io
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +34,14 @@ from twin.agents.hyperparameters import (
     torch_options,
 )
 from twin.agents.policy import AgentError, Policy
-from twin.sim.wrapper import OBSERVATIONS
+from twin.agents.residual import Residual, make_base, residual_of
+from twin.agents.warm_start import actor_layers, start_from
+from twin.sim.compact import COMPACT_SETS
+from twin.sim.wrapper import resolved
+from usv_gym.envs.tasks import make_task
 from usv_kernel import __version__
-from usv_kernel.files import read_json, read_limited, write_whole
+from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import import_named, read_json, read_limited, write_whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
@@ -49,7 +54,7 @@ __all__ = [
 ]
 
 
-EVERY = 16_384
+EVERY = 131_072
 """Decisions between two checkpoints."""
 
 CURVE_SEEDS = tuple(range(800_000, 800_016))
@@ -74,7 +79,8 @@ class Plan:
     """What is trained."""
 
     algo: str  # one of ALGORITHMS
-    observation: str  # what the agent sees, one of twin.sim.wrapper.OBSERVATIONS
+    # what the agent sees: one of twin.sim.wrapper.OBSERVATIONS, or names of entries
+    observation: str | Sequence[str]
     steps: int  # decisions of all boats together
     seed: int = 0  # of the run
     # options of the environment; of "a|b" one is drawn at each reset
@@ -86,14 +92,20 @@ class Plan:
     # steps of 0.05 s for which a decision is held, and decisions in an episode
     frame_skip: int = FRAME_SKIP
     max_episode_steps: int = EPISODE
+    vessel_spread: float = 0.0  # of the boats
+    # further options of the environment, such as current and wind_from_deg
+    world: Mapping[str, Any] = field(default_factory=dict)
     every: int = EVERY  # decisions between two checkpoints
+    # weights of terms of the reward, beside those of the hyperparameters
+    reward_weights: Mapping[str, float] = field(default_factory=dict)
+    init: str = ""  # policy.npz whose weights it starts from
 
     def __post_init__(self) -> None:
         check_algorithm(self.algo)
-        if self.observation not in OBSERVATIONS:
-            raise AgentError(
-                f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}"
-            )
+        try:
+            resolved(self.observation)
+        except UsvTwinError as error:
+            raise AgentError(str(error)) from None
         if self.task == "free":
             raise AgentError("task = 'free' has no reward: there is nothing to learn")
         for name, least in (("steps", 1), ("seed", 0), ("every", 1)):
@@ -104,13 +116,16 @@ class Plan:
     @property
     def name(self) -> str:
         """Name in tables."""
-        return f"{self.algo}-{self.observation}"
+        seen = self.observation
+        return f"{self.algo}-{seen if isinstance(seen, str) else f'{len(seen)}-entries'}"
 
     @property
     def environment(self) -> dict[str, Any]:
         """Options of :func:`~twin.agents.evaluation.make_envs`."""
         named = ("twin", "task", "sea", "faults", "vessel", "frame_skip", "max_episode_steps")
-        return {name: getattr(self, name) for name in named}
+        options = {name: getattr(self, name) for name in named}
+        options |= {"vessel_spread": self.vessel_spread} if self.vessel_spread else {}
+        return options | dict(self.world)
 
 
 @dataclass(frozen=True)
@@ -147,13 +162,18 @@ def train(
     hyper: Mapping[str, Any] | None = None,
     progress: bool = False,
     curve_seeds: tuple[int, ...] = CURVE_SEEDS,
+    num_threads: int = 1,
+    callback: str = "",
 ) -> Run:
     """Train an agent, or go on with it, until it is done; AgentError: the folder holds another run.
 
     The folder has ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
     ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``. ``hyper`` is that of
     :func:`hyperparameters` if left out; ``curve_seeds`` are the episodes of each point of the
-    learning curve.
+    learning curve. ``num_threads`` share the boats, which changes no result. ``callback`` is
+    ``"module:function"``: Stable-Baselines3 calls it in each step with its local and global
+    variables, and what it does is its own affair: not part of the checkpoint. Returning False ends
+    the training there, and the policy is kept. A class derived from its ``BaseCallback`` will do.
     """
     folder = Path(folder)
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
@@ -164,15 +184,17 @@ def train(
         import torch
 
         torch.set_num_threads(1)  # several are slower on networks of this size
-        learner = _Learner(plan, folder, hyper, curve_seeds)
+        given = callback_named(callback) if callback else None
+        learner = _Learner(plan, folder, hyper, curve_seeds, num_threads)
         try:
             # only after the learner could be made
             write_whole(folder / _NOTES, (json.dumps(notes, indent=1) + "\n").encode())
-            learner.learn(progress)
+            learner.learn(progress, given)
         finally:
             learner.envs.close()
         settings = {**asdict(plan), "hyper": hyper, "version": __version__}
-        policy_of(learner.model, learner.envs, plan, settings).save(folder / _POLICY)
+        policy = policy_of(learner.model, learner.envs, plan, settings, learner.residual)
+        policy.save(folder / _POLICY)
     for path in (folder / _CHECKPOINT, *folder.glob("replay_*.pt"), *folder.glob(".*.pt")):
         path.unlink(missing_ok=True)
     return Run.of(folder)
@@ -187,7 +209,8 @@ def _check_claim(folder: Path, notes: dict[str, Any]) -> None:
     if not isinstance(before, dict) or not isinstance(before.get("plan"), dict):
         raise AgentError(f"{path}: does not describe a run; delete {folder} or choose another one")
     parts = {**now["plan"], "hyper": now["hyper"], "curve_seeds": now["curve_seeds"]}
-    old = {**before["plan"], **before}
+    # options that came later had these values
+    old = {**asdict(Plan("ppo", "raw", 1)), **before["plan"], **before}
     for name in parts:
         if parts[name] != old.get(name):
             raise AgentError(
@@ -200,22 +223,30 @@ class _Learner:
     """One training under way."""
 
     def __init__(
-        self, plan: Plan, folder: Path, hyper: dict[str, Any], curve_seeds: tuple[int, ...]
-    ) -> None:
+        self, plan: Plan, folder: Path, hyper: dict[str, Any], curve_seeds: tuple[int, ...],
+        num_threads: int = 1,
+    ) -> None:  # fmt: skip
         self.plan, self.folder, self.curve_seeds = plan, folder, curve_seeds
         self.hyper = hyper
         algorithm = algorithm_class(plan.algo)
         from stable_baselines3.common.logger import configure
         from stable_baselines3.common.vec_env import VecNormalize
 
+        from twin.agents.corrected_boats import ResidualVecEnv, ScaledReward
         from usv_gym.envs.sb3 import SB3VecEnv
 
         options = dict(hyper)
-        options.pop("n_timesteps", None)
+        for name in ("n_timesteps", "observation"):
+            options.pop(name, None)
+        reward = {"scale": 1.0, "least": -np.inf, **options.pop("reward", {})}
+        terms = make_task(plan.task, 1, 1.0, 1.0).terms
+        nominal = options.pop("reward_weights", {})
+        weights = {name: nominal[name] for name in nominal if name in terms}
+        weights |= plan.reward_weights
+        self.residual = residual_of(plan.algo, options.pop("residual", {}), plan.task)
         self.n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
-        made = make_envs(
-            self.n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
-        )
+        env = plan.environment | {"reward_weights": weights or None, "num_threads": num_threads}
+        made = make_envs(self.n, observation=self._observation(), autoreset_mode="SameStep", **env)
         if "policy_kwargs" in options:
             options["policy_kwargs"] = torch_options(options["policy_kwargs"])
         for name in SCHEDULES:
@@ -224,13 +255,23 @@ class _Learner:
         options["seed"] = _seed_of(plan.seed, 0)
         try:
             gamma = options.get("gamma", 0.99)
-            self.envs = VecNormalize(SB3VecEnv(made), gamma=gamma, **normalize)
+            boats: Any = SB3VecEnv(made)
+            if self.residual is not None:
+                shown = made.observation_names
+                seen = len(shown) - len(self._added)
+                boats = ResidualVecEnv(boats, make_base(self.residual), self.residual.share, seen)
+            boats = ScaledReward(boats, **reward)
+            self.envs = VecNormalize(boats, gamma=gamma, **normalize)
             kind = ALGORITHMS[plan.algo][2]
             self.model: Any = algorithm(kind, self.envs, device="cpu", **options)
         except (AssertionError, AttributeError, TypeError, ValueError) as error:
             made.close()
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
-        _begin_nominal(self.model, made.episodes.nominal_action)
+        if self.residual is None:
+            _begin_nominal(self.model, made.episodes.nominal_action)
+        if plan.init:
+            base = "" if self.residual is None else self.residual.base
+            start_from(Policy.load(plan.init), self.model, self.envs, base)
         if importlib.util.find_spec("tensorboard") is None:
             raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
         self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
@@ -240,8 +281,21 @@ class _Learner:
         """Number of transitions that were written."""
         self._resume()
 
-    def learn(self, progress: bool) -> None:
-        """Train to the end."""
+    def _observation(self) -> str | list[str]:
+        """Return the observation of the boats: the agent's, and behind it what its base needs."""
+        seen, self._added = self.plan.observation, list[str]()
+        if self.residual is None:
+            return seen if isinstance(seen, str) else list(seen)
+        if isinstance(seen, str) and seen in COMPACT_SETS:
+            seen = [one.name for one in COMPACT_SETS[seen][1]]
+        if isinstance(seen, str):  # another whole set has them, or the base says what it lacks
+            return seen
+        entries = make_base(self.residual).entries
+        self._added = [name for name in entries if name not in seen]
+        return [*seen, *self._added]
+
+    def learn(self, progress: bool = False, callback: Any = None) -> None:
+        """Train to the end, or to where the callback ends it."""
         from stable_baselines3.common.callbacks import BaseCallback
 
         learner = self
@@ -266,7 +320,10 @@ class _Learner:
             # learn() would reset new boats before they are seeded; the break resets them after
             self.model._last_obs = np.empty(0)
             self.model.learn(
-                left, callback=Breaks(), reset_num_timesteps=False, progress_bar=progress
+                left,
+                callback=[Breaks(), callback] if callback else Breaks(),
+                reset_num_timesteps=False,
+                progress_bar=progress,
             )
         self.measure()
 
@@ -292,7 +349,7 @@ class _Learner:
         """Add a point to the learning curve."""
         now = time.perf_counter()
         self.wall += now - self.since
-        policy = policy_of(self.model, self.envs, self.plan, {})
+        policy = policy_of(self.model, self.envs, self.plan, {}, self.residual)
         rows = evaluate(policy, seeds=self.curve_seeds, **self.plan.environment)
         point = {"decisions": self.model.num_timesteps, "wall_s": round(self.wall, 3)}
         for name in ("return", "cross_track_m", "off_path_m", "success"):
@@ -373,6 +430,18 @@ class _Learner:
             buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
 
 
+def callback_named(name: str) -> Any:
+    """Return a callback of Stable-Baselines3 by ``module:function``, or of a class by its name."""
+    from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
+
+    found = import_named(name, AgentError, f"--callback {name}", "module:function")
+    if isinstance(found, type) and issubclass(found, BaseCallback):
+        return found()
+    if not callable(found):
+        raise AgentError(f"--callback {name}: is no function, but {found!r}")
+    return ConvertCallback(found)
+
+
 def _begin_nominal(model: Any, action: NDArray[np.float64]) -> None:
     """Let an untrained agent hold the nominal speed: it learns sooner than one that lies still."""
     import torch
@@ -415,20 +484,18 @@ def _seed_of(seed: int, steps: int) -> int:
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
 
 
-def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]) -> Policy:
+def policy_of(
+    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any],
+    residual: Residual | None = None,
+) -> Policy:  # fmt: skip
     """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
 
-    The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file.
+    The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file. ``residual`` is what
+    it corrects, if anything.
     """
     net = model.policy
     off_policy = hasattr(net, "actor")
-    hidden = net.actor.latent_pi if off_policy else net.mlp_extractor.policy_net
-    last = net.actor.mu if off_policy else net.action_net
-    layers = [
-        (_array(layer.weight), _array(layer.bias))
-        for layer in (*hidden, last)
-        if hasattr(layer, "weight")
-    ]
+    layers = [(_array(layer.weight), _array(layer.bias)) for layer in actor_layers(net)]
     lstm = None
     if hasattr(net, "lstm_actor"):
         of = net.lstm_actor
@@ -441,10 +508,12 @@ def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, An
         sd = np.sqrt(envs.obs_rms.var + envs.epsilon)
     default = "relu" if off_policy else "tanh"
     kind = net.activation_fn.__name__.lower() if net.activation_fn else default
+    names = tuple(envs.unwrapped.envs.observation_names)
+    whole = isinstance(plan.observation, str) and size == len(names)
     return Policy(
         name=plan.name,
-        observation=plan.observation,
-        names=tuple(envs.unwrapped.envs.observation_names),
+        observation=str(plan.observation) if whole else list(names),
+        names=names,
         settings=settings,
         mean=mean,
         sd=sd,
@@ -453,6 +522,8 @@ def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, An
         lstm=lstm,
         activation=kind,
         squash=off_policy,
+        base="" if residual is None else residual.base,
+        share=1.0 if residual is None else residual.share,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +13,10 @@ from rich.table import Table
 from twin.agents import study
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
-from twin.agents.forecast_table import forecast_rows
+from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError, Policy
+from twin.agents.recording.dataset import check_dataset, write_dataset
+from twin.agents.recording.video import check_video, record_video
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
     BackendOption,
@@ -30,6 +31,7 @@ from twin.cli.common import (
 from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
+from usv_kernel.files import import_named
 
 EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
 
@@ -63,6 +65,10 @@ def evaluate_command(
     vessel: Annotated[
         str | None, typer.Option(help="Default: that of the training, or usv75.")
     ] = None,
+    vessel_spread: Annotated[
+        float | None,
+        typer.Option(help="Spread of the boats. Default: that of the training, or 0."),
+    ] = None,
     sensors: Annotated[
         str, typer.Option(help=f"Grade of the sensors, one of: {', '.join(GRADES)}.")
     ] = "typical",
@@ -75,6 +81,20 @@ def evaluate_command(
             "--log-dir", help="Write each episode there as a log, for the other commands."
         ),
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a video of the first episode, all agents side by side: .mp4 or .gif."
+        ),
+    ] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Write all episodes of an agent, with the twin's forecasts, as a Minari data set: "
+            "usv/los-twin-v0.",
+        ),
+    ] = None,
     jobs: JobsOption = 1,
     backend: BackendOption = "loky",
 ) -> None:
@@ -83,22 +103,18 @@ def evaluate_command(
     In each sea state with each loss of GPS; a twin sails with every agent, seen by it or not.
 
     The distance off the path is the mean over an episode. After a failure (50 m off the path, or
-    capsized) the rest of the episode counts as 50 m.
+    capsized) the rest of the episode counts as 50 m. The time is that to a success. The forecast
+    error is that of the displacement 5 s ahead, with the commands that came.
     """
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
-    chosen = {"task": task, "twin": twin, "vessel": vessel}
+    chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
-    agents = [agent for model in models for agent in _agents(model)]
-    same = _trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
-    heads = ("agent", "sea", *outages)
-    table = new_table(
-        f"task {same['task']}: distance off the path, m; median [95 % interval], share of "
-        "failures; mean return",
-        *heads,
-        left=heads,
-    )
-    for column in table.columns:
-        column.no_wrap = column.header == "sea"
+    agents = [agent for model in models for agent in agents_named(model)]
+    same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
+    if video is not None:
+        check_video(video, len(agents))
+    if minari is not None:
+        check_dataset(minari, len(agents))
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:
         log_dir.mkdir(parents=True, exist_ok=True)
@@ -116,23 +132,24 @@ def evaluate_command(
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     labels = _labels([model for model, _agent in agents])
-    for model in labels:
-        for state in seas:
-            groups = [
-                [row for row in found if (row["model"], row["sea"], row["faults"]) == key]
-                for key in ((model, state, loss) for loss in outages)
-            ]
-            table.add_row(labels[model], state, *map(_median, groups))
-    console.print(table)
+    console.print(_episodes(labels, found, same["task"]))
     console.print(_forecasts(labels, found, same["twin"]))
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
+    if video is not None:
+        first = {"seed": where["seeds"][0], "sea": seas[0], "faults": outages[0]}
+        frames = record_video(video, [agent for _model, agent in agents], **first, **same)
+        console.print(f"video of seed {first['seed']}, {frames} frames: {video}")
+    if minari is not None:
+        grid = {name: where[name] for name in ("seeds", "seas", "outages")}
+        count = write_dataset(minari, agents[0][1], **grid, **same)
+        console.print(f"Minari data set of {count} episodes: {minari}")
     if json_file is not None:
         write_json(json_file, found)
         console.print(f"every episode: {json_file}")
 
 
-def _agents(model: str) -> list[tuple[str, Agent]]:
+def agents_named(model: str) -> list[tuple[str, Agent]]:
     """Return the agents that a name stands for, each with its label."""
     path = Path(model)
     if path.is_dir():
@@ -147,12 +164,8 @@ def _agents(model: str) -> list[tuple[str, Agent]]:
         ]
     if path.suffix == ".npz":
         return [(model, Policy.load(path))]
-    module, colon, name = model.partition(":")
-    if colon:
-        try:
-            return [(model, getattr(importlib.import_module(module), name)())]
-        except (ImportError, AttributeError) as error:
-            raise AgentError(f"{model}: {error}; write module:Class") from None
+    if ":" in model:
+        return [(model, import_named(model, AgentError, model)())]
     from twin.agents.controllers import DOCKING  # compiled code, for names alone
 
     known = study.controllers() | DOCKING
@@ -164,10 +177,11 @@ def _agents(model: str) -> list[tuple[str, Agent]]:
     )
 
 
-def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
+def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
     """Return the environment options of the training, overridden by those given."""
     options = Plan("ppo", "raw", 1).environment | given
-    for name in ("task", "twin", "vessel", "frame_skip", "max_episode_steps"):
+    named = ("task", "twin", "vessel", "vessel_spread", "frame_skip", "max_episode_steps")
+    for name in named:
         trained = {
             agent.settings[name]
             for agent in agents
@@ -179,11 +193,14 @@ def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
             what = ", ".join(map(str, sorted(trained)))
             raise AgentError(
                 f"these were trained with {name} = {what}: evaluate them one by one"
-                + (f", or name --{name}" if name in ("task", "twin", "vessel") else "")
+                + (f", or name --{name.replace('_', '-')}" if name in named[:4] else "")
             )
         (options[name],) = trained
+    worlds = [agent.settings.get("world", {}) for agent in agents if isinstance(agent, Policy)]
+    if any(world != worlds[0] for world in worlds):
+        raise AgentError(f"these were trained in other worlds, {worlds}: evaluate them one by one")
     del options["sea"], options["faults"]
-    return options
+    return (worlds[0] if worlds else {}) | options
 
 
 def _labels(models: list[str]) -> dict[str, str]:
@@ -212,14 +229,51 @@ def _forecasts(labels: dict[str, str], found: list[dict[str, Any]], twin: str) -
     return table
 
 
-def _median(rows: list[dict[str, Any]]) -> str:
-    """Return the median distance off the path, its interval, how many failed, and the return."""
-    distance = np.array([row["off_path_m"] for row in rows])
-    failed = sum(row["failed"] for row in rows) / len(rows)
-    share = f" {failed:.0%}" if failed else ""
-    total = f"return {np.mean([row['return'] for row in rows]):.0f}"
-    if len(rows) < INTERVAL_MIN:
-        return f"{np.median(distance):.2f}{share}\n{total}"
-    samples = np.random.default_rng(0).choice(distance, (study.REPLICATES, len(distance)))
+def _episodes(labels: dict[str, str], found: list[dict[str, Any]], task: str) -> Table:
+    """Return the table of how the agents did, a line for each sea state and loss."""
+    means = ("success", "failed", "time,\ns", "return", "forecast\nerror, m")
+    heads = ("agent", "sea", "loss", "off path,\nm", *means)
+    title = f"task {task}: median distance off the path [95 % interval], and means"
+    table = new_table(title, *heads, left=heads[:3], padding=0)
+    table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in found:
+        groups.setdefault((row["model"], row["sea"], row["faults"]), []).append(row)
+    for (model, sea, loss), rows in groups.items():
+        table.add_row(labels[model], sea, loss, *_cells(rows))
+    return table
+
+
+def _cells(rows: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Return distance off the path, success, failures, time, return and forecast error."""
+    times = [row["length_s"] for row in rows if row["success"]]
+    return (
+        _median([row["off_path_m"] for row in rows]),
+        f"{np.mean([row['success'] for row in rows]):.0%}",
+        f"{np.mean([row['failed'] for row in rows]):.0%}",
+        f"{np.mean(times):.0f}" if times else "-",
+        f"{np.mean([row['return'] for row in rows]):.0f}",
+        _forecast_error([row["twin_forecast"] for row in rows]),
+    )
+
+
+def _median(distances: list[float]) -> str:
+    """Return the median and its interval."""
+    median = f"{np.median(distances):.2f}"
+    if len(distances) < INTERVAL_MIN:
+        return median
+    samples = np.random.default_rng(0).choice(distances, (study.REPLICATES, len(distances)))
     low, high = study.interval(np.median(samples, axis=1))
-    return f"{np.median(distance):.2f}\n[{low:.2f}, {high:.2f}]{share}\n{total}"
+    return f"{median} [{low:.2f}, {high:.2f}]"
+
+
+def _forecast_error(episodes: list[dict[str, float]]) -> str:
+    """Return the mean error of the displacement 5 s ahead, with and without a loss, m."""
+    scores = mean_scores(episodes)
+    parts = [
+        (scores[f"n{place}"], scores[f"known{place}_5s_displacement_m"])
+        for place in ("", "_loss")
+        if scores[f"n{place}"]
+    ]
+    count = sum(part[0] for part in parts)
+    return f"{sum(n * error for n, error in parts) / count:.2f}" if count else "-"

@@ -6,10 +6,11 @@ import dataclasses
 import signal
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from twin.agents.policy import AgentError
 from twin.cli.common import (
     DofOption,
     FaultStartOption,
@@ -61,6 +62,15 @@ def view_command(
     mavlink: Annotated[
         str | None,
         typer.Option(help="Follow a boat or an autopilot by MAVLink: udp://:14550."),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AGENT",
+            help="Let it sail its task, as usv-twin evaluate does: a policy (.npz), a run's "
+            "folder, a controller, or module:Class. Degrees of freedom and time of an episode are "
+            "those of its training.",
+        ),
     ] = None,
     reply: Annotated[
         str | None,
@@ -147,7 +157,8 @@ def view_command(
 
     check_host(host)
     access = Access.of(host, allow_origin or (), token)
-    given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
+    sources = ("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink), ("--policy", policy)
+    given = [name for name, one in sources if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
     session: Session
@@ -161,6 +172,11 @@ def view_command(
             servos = Servos.of(twin.particulars, shaft_max, radians(steer_max))
             feed = MavlinkFeed(str(mavlink), twin.particulars, reply, servos=servos)
         session = FeedSession(feed, twin, shown, out)
+    elif policy is not None:
+        options = {"sea": changing_sea(SeaState.named(sea), hs, wind, wind_from)}
+        losses = parse_faults(faults, fault_start)
+        own = {"seed": seed, "predictor": predictor, "faults": losses, "suite": sensors}
+        session = _policy_session(policy, out, vessel, **options, **own)
     else:
         boat = Vessel.load(vessel or "usv75")
         if autopilot not in AUTOPILOTS:
@@ -181,6 +197,19 @@ def view_command(
             note(line)
     session.set_scale(speed)
     show_session(session, access, port, browser)
+
+
+def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
+    """Return the session of an agent by its name, in the environment of its training."""
+    from twin.cli.evaluate import agents_named, trained_with
+    from twin.live.sessions.policy import PolicySession
+
+    agents = agents_named(name)
+    if len(agents) != 1:
+        raise AgentError(f"--policy {name}: holds {len(agents)} agents; name one of them")
+    ((_label, agent),) = agents
+    given = {} if vessel is None else {"vessel": vessel}
+    return PolicySession(agent, out, **trained_with([agent], given), **options)
 
 
 def show_session(session: Session, access: Access, port: int, browser: bool) -> None:

@@ -13,7 +13,7 @@ from twin.sim.twin_observation import ATTITUDE_OBSERVATION, TWIN_OBSERVATION
 from usv_gym.envs.selection import NEAR, Scaled
 from usv_kernel.errors import UsvTwinError
 
-__all__ = ["COMPACT", "COMPACT_PARAMS", "COMPACT_SETS", "set_of"]
+__all__ = ["COMPACT", "COMPACT_PARAMS", "COMPACT_SETS", "SCALED", "set_of"]
 
 _RIGHT = Scaled("compact_drive", "shaft_right", 0.7, 0.2)
 
@@ -64,6 +64,9 @@ COMPACT_SETS: dict[str, tuple[str, Sequence[Scaled]]] = {
 }
 """Names of these sets: the set that each is made of, and its entries."""
 
+SCALED = {one.name: one for one in COMPACT_PARAMS}
+"""The entries of both by name: a list of entries may have them beside others."""
+
 _BEGINNINGS = (
     ("twin_health", ("health_",)),
     ("twin_attitude", (*ATTITUDE_OBSERVATION,)),
@@ -77,7 +80,7 @@ _BEGINNINGS = (
 def set_of(names: Sequence[str]) -> str:
     """Return the smallest set that has all of some entries; unknown names count as sensors'."""
     found = []
-    for name in names:
+    for name in map(_source, names):
         sets = [one for one, begin in _BEGINNINGS if name.startswith(begin)]
         found += sets[:1] or (["raw_stacked"] if name.endswith("_before") else [])
     needed = set(found)
@@ -88,3 +91,9 @@ def set_of(names: Sequence[str]) -> str:
             f"observation: no set has all of these entries; they are of {', '.join(sorted(needed))}"
         )
     return next(iter(needed), "raw")
+
+
+def _source(name: str) -> str:
+    """Return the entry that another one is made of, or the entry itself."""
+    source = SCALED[name].source if name in SCALED else name
+    return source if isinstance(source, str) else source[0]

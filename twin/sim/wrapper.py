@@ -24,7 +24,7 @@ from twin.sim.bridge import (
     particulars_of,
     with_deck_point,
 )
-from twin.sim.compact import COMPACT_SETS, set_of
+from twin.sim.compact import COMPACT_SETS, SCALED, set_of
 from twin.sim.mixed_twins import MixedTwins, observer_of
 from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
@@ -306,7 +306,7 @@ def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scal
     if not names or not all(isinstance(name, str) for name in observation):
         known = ", ".join(OBSERVATIONS)
         raise UsvTwinError(f"observation = {observation!r}; known: {known}, or a list of entries")
-    return set_of(list(observation)), list(observation)
+    return set_of(list(observation)), [SCALED.get(name, name) for name in observation]
 
 
 def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +24,7 @@ from usv_gym.envs.scoring import (
     path_errors,
 )
 from usv_kernel.errors import check_number, did_you_mean
+from usv_kernel.files import import_named
 
 __all__ = [
     "TASKS",
@@ -415,7 +413,8 @@ def make_task(
     """
     kind: Any = name
     if isinstance(name, str):
-        kind = _imported(name) if ":" in name else TASKS.get(name)
+        own = ":" in name
+        kind = import_named(name, TaskError, f"task = {name!r}") if own else TASKS.get(name)
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         hint = did_you_mean(name, TASKS) if isinstance(name, str) else ""
         raise TaskError(
@@ -428,15 +427,3 @@ def make_task(
             f"motion_penalty = {motion}: {kind.__name__} rates its steps itself; give it a term"
         )
     return task
-
-
-def _imported(name: str) -> Any:
-    """Return what ``module:Class`` stands for; the module may lie in the working directory."""
-    module, attribute = name.partition(":")[::2]
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # as for python -m
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise TaskError(f"task = {name!r}: {error}; write module:Class") from None

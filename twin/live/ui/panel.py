@@ -19,6 +19,7 @@ from twin.live.external.view import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
+from twin.live.sessions.policy import PolicySession
 from twin.live.sessions.session import Session, Snapshot
 from twin.live.sessions.simulated import SimulatedSession
 from twin.live.ui.scene import BLUE, GREEN, PALE, PURPLE, RED
@@ -65,7 +66,7 @@ class Controls(ABC):
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(LEFT)
         self.status = self.gui.add_html("")
-        self.gui.add_html(key(path=isinstance(session, SimulatedSession)))
+        self.gui.add_html(key(path=isinstance(session, SimulatedSession | PolicySession)))
         self._add_time()
         self.add()
 
@@ -119,7 +120,55 @@ class Controls(ABC):
         self.record.on_click(lambda _: self.session.order(self.session.toggle_record))
 
 
-class SimulatedControls(Controls):
+class LossControls(Controls):
+    """What loses sensors."""
+
+    session: SimulatedSession | PolicySession
+
+    def _add_losses(self) -> None:
+        """Add buttons that lose sensors for a while, or until they are pressed again."""
+        order, lose = self.session.order, self.session.lose
+        with self.gui.add_folder("Sensors"):
+            brief = self.gui.add_button(f"lose GPS {LOSS:g} s", hint="key: G")
+            brief.on_click(lambda _: order(lose, "gps", LOSS))
+            self.gps = self._add_loss("gps", "GPS")
+            self.imu = self._add_loss("imu", "IMU")
+        self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
+            lambda _: order(lose, "gps", LOSS)
+        )
+
+    def _add_loss(self, kind: str, name: str) -> Any:
+        """Add a button that loses a sensor until it is pressed again."""
+        button = self.gui.add_button(f"lose {name} until pressed")
+        button.on_click(lambda _: self.session.order(self.session.toggle_loss, kind))
+        return button
+
+    def labels(self) -> list[tuple[Any, str]]:
+        """Return the buttons whose words change, and what they say now."""
+        said = super().labels()
+        for button, kind, name in ((self.gps, "gps", "GPS"), (self.imu, "imu", "IMU")):
+            lost = self.session.is_lost(kind)
+            said.append((button, f"find {name} again" if lost else f"lose {name} until pressed"))
+        return said
+
+
+class PolicyControls(LossControls):
+    """Episodes that an agent steers."""
+
+    session: PolicySession
+
+    def add(self) -> None:
+        """Add the loss of sensors, and the next episode."""
+        session = self.session
+        self._add_losses()
+        following = self.gui.add_button("next episode", hint="key: R")
+        following.on_click(lambda _: session.order(session.next_episode))
+        self.gui.add_command("next episode", hotkey="R").on_trigger(
+            lambda _: session.order(session.next_episode)
+        )
+
+
+class SimulatedControls(LossControls):
     """Autopilot, sensors and setup of a simulated boat."""
 
     session: SimulatedSession
@@ -147,14 +196,7 @@ class SimulatedControls(Controls):
             ("arrowleft", self.helm, -HELM_STEP),
         ):
             self._on_key(key, slider, step)
-        with self.gui.add_folder("Sensors"):
-            brief = self.gui.add_button(f"lose GPS {LOSS:g} s", hint="key: G")
-            brief.on_click(lambda _: order(session.lose, "gps", LOSS))
-            self.gps = self._add_loss("gps", "GPS")
-            self.imu = self._add_loss("imu", "IMU")
-        self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
-            lambda _: order(session.lose, "gps", LOSS)
-        )
+        self._add_losses()
         setup = session.setup
         with self.gui.add_folder("Weather", expand_by_default=False):
             known = next((name for name, sea in SEA_STATES.items() if sea == setup.sea), "as given")
@@ -209,20 +251,6 @@ class SimulatedControls(Controls):
             slider.value = min(max(round(slider.value + step, 2), slider.min), slider.max)
 
         command.on_trigger(move)
-
-    def _add_loss(self, kind: str, name: str) -> Any:
-        """Add a button that loses a sensor until it is pressed again."""
-        button = self.gui.add_button(f"lose {name} until pressed")
-        button.on_click(lambda _: self.session.order(self.session.toggle_loss, kind))
-        return button
-
-    def labels(self) -> list[tuple[Any, str]]:
-        """Return the buttons whose words change, and what they say now."""
-        said = super().labels()
-        for button, kind, name in ((self.gps, "gps", "GPS"), (self.imu, "imu", "IMU")):
-            lost = self.session.is_lost(kind)
-            said.append((button, f"find {name} again" if lost else f"lose {name} until pressed"))
-        return said
 
     def _chosen_sea(self) -> SeaState:
         sea = SEA_STATES.get(self.sea.value, self.session.setup.sea)
@@ -316,6 +344,8 @@ def controls_of(server: viser.ViserServer, session: Session) -> Controls:
     """Return the controls that suit a session; who looks on has those of a feed."""
     if isinstance(session, SimulatedSession):
         return SimulatedControls(server, session)
+    if isinstance(session, PolicySession):
+        return PolicyControls(server, session)
     if isinstance(session, LogSession):
         return LogControls(server, session)
     return FeedControls(server, session)
@@ -336,7 +366,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines |= deck_lines(now.prediction.motion)
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
-    if isinstance(session, SimulatedSession):
+    if isinstance(session, SimulatedSession | PolicySession):
         left, right = state[fr.DELTA_LEFT], state[fr.DELTA_RIGHT]
         shafts = 0.5 * (state[fr.N_LEFT] + state[fr.N_RIGHT])
         lines["shafts, drives"] = (

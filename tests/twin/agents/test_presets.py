@@ -1,0 +1,321 @@
+"""What a training may be given: a controller to correct, weights, entries, callbacks, threads."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
+pytest.importorskip("tensorboard", reason="tensorboard is not installed")
+
+from tests.twin.cli.command import run as command
+from twin.agents import training
+from twin.agents.controllers import LOS, make_controller
+from twin.agents.corrected_boats import ResidualVecEnv, ScaledReward
+from twin.agents.evaluation import evaluate, make_envs
+from twin.agents.hyperparameters import check_hyperparameters, hyperparameters
+from twin.agents.policy import AgentError, Policy
+from twin.agents.training import Plan, train
+from twin.cli.evaluate import trained_with
+from usv_gym.envs.sb3 import SB3VecEnv
+
+TINY = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
+LAST = {"max_episode_steps": 12, "sea": "2", "faults": "none"}
+
+
+def tiny(algo="ppo", **changes):
+    return hyperparameters(algo) | TINY | changes
+
+
+def learner(tmp_path, algo="ppo", hyper=None, **options):
+    plan = Plan(algo, **{"observation": "compact", "steps": 64, **LAST, **options})
+    return training._Learner(plan, tmp_path, tiny(algo) if hyper is None else hyper, (1,))
+
+
+def run(folder, algo="ppo", hyper=None, **options):
+    how = {name: options.pop(name) for name in ("num_threads", "callback") if name in options}
+    plan = Plan(algo, **{"observation": "compact", "steps": 128, "every": 64, **LAST, **options})
+    given = tiny(algo) if hyper is None else hyper
+    return train(plan, folder, hyper=given, curve_seeds=(1, 2), **how)
+
+
+def same(a: Policy, b: Policy) -> bool:
+    pairs = zip(a.layers, b.layers, strict=True)
+    return all(np.array_equal(x, y) for one, two in pairs for x, y in zip(one, two, strict=True))
+
+
+# ------------------------------------------------- corrections of a controller
+
+
+def corrected(n=3, share=0.5, **options):
+    from twin.sim.compact import COMPACT
+
+    base = LOS("los-twin", "twin", "twin_")
+    names = [*(one.name for one in COMPACT), *base.entries]
+    made = make_envs(n, observation=names, autoreset_mode="SameStep", **options)
+    return ResidualVecEnv(SB3VecEnv(made), base, share, len(COMPACT))
+
+
+def test_an_untrained_residual_sails_as_its_controller_does(tmp_path):
+    found = learner(tmp_path, "ppo-residual")
+    net = found.model.policy.action_net
+    net.weight.data.zero_()
+    assert not net.bias.data.any()
+    policy = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    found.envs.close()
+    rows, expected = (
+        evaluate(agent, seeds=(1, 2), faults="gps10@1", max_episode_steps=40)
+        for agent in (policy, make_controller("los-twin"))
+    )
+    for row, other in zip(rows, expected, strict=True):
+        assert row["off_path_m"] == other["off_path_m"] and row["return"] == other["return"]
+
+
+def test_a_saved_residual_acts_as_in_its_training(tmp_path):
+    found = learner(tmp_path, "ppo-residual")
+    found.learn()
+    path = tmp_path / "policy.npz"
+    training.policy_of(found.model, found.envs, found.plan, {}, found.residual).save(path)
+    policy = Policy.load(path)
+    assert (policy.base, policy.share, len(policy.mean)) == ("los-twin", 0.5, 16)
+    assert policy.name == "ppo-residual-compact" and list(policy.names) == policy.observation
+    boats = corrected(3, max_episode_steps=100)
+    boats.seed(5)
+    seen = boats.reset()
+    envs = make_envs(3, observation=policy.observation, max_episode_steps=100)
+    obs, _ = envs.reset(seed=5)
+    policy.begin(envs)
+    for _ in range(30):
+        correction, _ = found.model.predict(seen, deterministic=True)
+        seen = boats.step(correction)[0]
+        action = policy.act(obs)
+        np.testing.assert_allclose(action, boats.envs.episodes.actions[1], atol=1e-5)
+        obs, *_ = envs.step(action)
+        np.testing.assert_allclose(seen[:, :14], obs[:, :14], atol=2e-2)
+    assert np.ptp(correction) > 0.0
+    found.envs.close()
+
+
+def test_a_controller_forgets_a_boat_where_its_episode_ends():
+    boats = corrected(3, max_episode_steps=50, sea="4")
+    boats.set_options({"first_episode_steps": np.array([8, 50, 9])})
+    boats.seed(1)
+    boats.reset()
+    for k in range(9):
+        before = boats.base._drift.copy()
+        seen, _, dones, infos = boats.step(np.zeros((3, 2)))
+        assert dones.tolist() == [k == 7, False, k == 8]
+        for i in np.flatnonzero(dones):
+            last = infos[i]["terminal_observation"]
+            assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
+            fresh = LOS("los-twin", "twin", "twin_")
+            fresh.begin(boats.envs)
+            fresh.act(boats.envs._shown())
+            assert boats.base._drift[i] == fresh._drift[i] != before[i]
+            assert boats.base._drift[1] != fresh._drift[1]
+    boats.close()
+
+
+def test_a_correction_is_a_share_of_the_action():
+    boats, plain = corrected(2, share=0.25, sea="0"), corrected(2, sea="0")
+    for one in (boats, plain):
+        one.seed(3)
+        one.reset()
+    boats.step(np.array([[0.4, -0.2], [-8.0, 8.0]]))
+    plain.step(np.zeros((2, 2)))
+    based = plain.envs.episodes.actions[1]
+    expected = np.clip(based + 0.25 * np.array([[0.4, -0.2], [-8.0, 8.0]]), -1.0, 1.0)
+    np.testing.assert_allclose(boats.envs.episodes.actions[1], expected)
+
+
+def test_rewards_are_scaled_and_bounded_below():
+    boats = ScaledReward(corrected(2, sea="0"), 0.1, -0.5)
+    plain = corrected(2, sea="0")
+    for one in (boats, plain):
+        one.seed(3)
+        one.reset()
+    for _ in range(4):
+        rewards = [one.step(np.array([[0.0, 0.0], [-2.0, 2.0]]))[1] for one in (boats, plain)]
+        np.testing.assert_array_equal(
+            rewards[0], np.maximum(np.float32(0.1) * rewards[1], np.float32(-0.5))
+        )
+
+
+def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path):
+    found = learner(tmp_path, "ppo-residual", task="docking")
+    assert found.residual.base == "dock-twin"
+    found.learn()
+    policy = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    found.envs.close()
+    assert evaluate(policy, seeds=(1,), task="docking", max_episode_steps=10)[0]["length_s"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"residual": {"base": "mpc-twin"}}, "base must be one of los, los-twin"),
+        ({"residual": {"share": 0.0}}, "share above 0"),
+        ({"residual": {"share": "half"}}, r"\[residual\] share = 'half': must be a number"),
+        ({"residual": {"gain": 1.0}}, r"\[residual\] has no 'gain'; it has base, share"),
+        ({"reward": {"scale": -1.0}}, r"\[reward\] scale must be above 0"),
+        ({"reward": {"least": "low"}}, r"\[reward\] least = 'low': must be a number"),
+        ({"reward_weights": 3.0}, r"must be a table \[reward_weights\]"),
+    ],
+)
+def test_wrong_tables_are_named(table, said):
+    with pytest.raises(AgentError, match=said):
+        check_hyperparameters("ppo-residual", table, "mine.toml")
+
+
+def test_only_residuals_have_a_controller():
+    with pytest.raises(AgentError, match="ppo has no 'residual'"):
+        check_hyperparameters("ppo", {"residual": {"share": 0.5}}, "mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"share": -1.0}, "share must be a number above 0"),
+        ({"base": 3}, "base is no text"),
+        ({"mean": np.zeros(60), "sd": np.ones(60)}, "mean has 60 entries; it corrects, and sees"),
+        ({"observation": ["gyro"]}, "neither a text nor the list of names"),
+    ],
+)
+def test_damaged_residual_policies_are_refused(change, said):
+    names = tuple(f"e{i}" for i in range(5))
+    good = {"name": "mine", "observation": list(names), "names": names, "settings": {}}
+    good |= {"mean": np.zeros(5), "sd": np.ones(5), "clip": 5.0, "base": "los-twin"}
+    good["layers"] = [(np.zeros((2, 5)), np.zeros(2))]
+    with pytest.raises(AgentError, match="call begin"):
+        Policy(**good).act(np.zeros(5))
+    with pytest.raises(AgentError, match=said):
+        Policy(**(good | change))
+
+
+# ------------------------------------------------- what a training is given
+
+
+def test_threads_change_nothing(tmp_path):
+    one, two = (run(tmp_path / str(n), num_threads=n) for n in (1, 2))
+    assert same(one.policy, two.policy)
+
+
+def test_entries_spread_and_weights_reach_the_boats(tmp_path):
+    seen = ("compact_cross_track", "compact_sin_course_error", "gps_age")
+    given = {"observation": seen, "vessel_spread": 0.2, "reward_weights": {"effort": 7.0}}
+    found = learner(tmp_path, **given)
+    envs = found.envs.unwrapped.envs
+    assert envs.observation_names == seen
+    # progress, cross track, effort, failure
+    assert envs.task.rules["weights"][:4].tolist() == [1.0, 3.0, 7.0, 1.0]
+    factors = envs.reset(seed=3)[1]["drawn"]["vessel_factors"]
+    assert len({one.mass for one in factors}) == 4
+    found.envs.close()
+    policy = run(tmp_path / "run", **given).policy
+    assert policy.name == "ppo-3-entries" and policy.settings["vessel_spread"] == 0.2
+    (row,) = evaluate(policy, seeds=(1,), max_episode_steps=5, vessel_spread=0.2)
+    assert row["agent"] == "ppo-3-entries"
+
+
+def test_an_agent_is_evaluated_in_the_world_of_its_training(tmp_path):
+    run(tmp_path / "run", world={"current": (0.4, 90.0)})
+    policy = Policy.load(tmp_path / "run")
+    options = trained_with([policy], {})
+    assert options["current"] == [0.4, 90.0] and "sea" not in options
+    envs = make_envs(1, observation="compact", **options)
+    assert envs.reset(seed=1)[1]["drawn"]["current_mps"] == pytest.approx(0.4)
+    with pytest.raises(AgentError, match="were trained in other worlds"):
+        trained_with([policy, run(tmp_path / "other").policy], {})
+
+
+CALLS: list[int] = []
+
+
+def count_steps(local, _global):
+    CALLS.append(local["self"].num_timesteps)
+    return len(CALLS) < 20
+
+
+def test_a_callback_sees_the_model_and_may_end_the_training(tmp_path):
+    CALLS.clear()
+    name = f"{__name__}:count_steps"
+    found = run(tmp_path / "run", steps=256, callback=name)
+    assert len(CALLS) == 20 and CALLS[:3] == [4, 8, 12]
+    assert found.curve[-1]["decisions"] < 256
+    for wrong, said in (
+        (f"{__name__}:nothing", "write module:function"),
+        ("os:sep", "no function"),
+    ):
+        with pytest.raises(AgentError, match=said):
+            run(tmp_path / "wrong", callback=wrong)
+    assert not (tmp_path / "wrong").exists()
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac", "recurrent_ppo", "ppo-residual"])
+def test_a_training_starts_from_saved_weights(tmp_path, algo):
+    small = {**TINY} if algo != "sac" else {"n_envs": 4, "learning_starts": 32, "batch_size": 16}
+    hyper = hyperparameters(algo) | small
+    first = run(tmp_path / "first", algo, hyper).policy
+    found = learner(tmp_path / "b", algo, hyper, init=str(tmp_path / "first" / "policy.npz"))
+    again = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    found.envs.close()
+    assert same(first, again)
+    assert run(tmp_path / "c", algo, hyper, init=str(tmp_path / "first")).curve[0][
+        "off_path_m"
+    ] == (pytest.approx(run(tmp_path / "first", algo, hyper).curve[-1]["off_path_m"]))
+
+
+def test_normalised_observations_go_over_into_a_net_without(tmp_path):
+    normal = tiny(normalize={"norm_obs": True, "norm_reward": False, "clip_obs": 1e5})
+    first = run(tmp_path / "first", hyper=normal).policy
+    assert first.sd.max() != 1.0
+    init = str(tmp_path / "first")
+    for hyper in (tiny(), normal):
+        found = learner(tmp_path / "b", hyper=hyper, init=init)
+        again = training.policy_of(found.model, found.envs, found.plan, {})
+        found.envs.close()
+        obs = np.random.default_rng(0).normal(size=(8, 14)).astype(np.float32)
+        np.testing.assert_allclose(again.act(obs), first.act(obs), atol=2e-3)
+
+
+def test_weights_of_another_form_are_refused(tmp_path):
+    run(tmp_path / "first")
+    init = str(tmp_path / "first")
+    wide = tiny(policy_kwargs={"net_arch": [32], "log_std_init": -1.0})
+    with pytest.raises(
+        AgentError, match=r"net of 14-64-64-2 .*, and this training makes .*14-32-2"
+    ):
+        learner(tmp_path / "a", hyper=wide, init=init)
+    with pytest.raises(AgentError, match="sees 14 entries, and this training has 23"):
+        learner(tmp_path / "b", observation="raw", init=init)
+    with pytest.raises(AgentError, match="and bounded actions; choose the same algorithm"):
+        learner(tmp_path / "c", "sac", hyperparameters("sac") | {"n_envs": 4}, init=init)
+
+
+def test_train_takes_entries_weights_spread_and_callback(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny.toml").write_text("n_envs = 4\nn_steps = 16\nbatch_size = 32\nn_epochs = 1\n")
+    (tmp_path / "watch.py").write_text("def say(local, _):\n    print('called')\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    words = ("train", "--steps", 64, "--hyper", "tiny.toml", "--sea", "0", "--faults", "none")
+    more = ("--reward-weight", "effort=2", "--vessel-spread", "0.1", "--num-threads", 2)
+    seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
+    said = command(*words, *more, *seen, "--callback", "watch:say").output
+    assert "called" in said
+    policy = Policy.load("runs/ppo-3-entries-0")
+    assert policy.settings["reward_weights"] == {"effort": 2.0}
+    assert policy.settings["vessel_spread"] == 0.1
+    again = command(*words, *more, *seen, "--init", "runs/ppo-3-entries-0", "--out", "more")
+    assert "ppo-3-entries" in again.output
+    for wrong, error in (
+        (("--reward-weight", "effort"), "write the term and a number, as in cross_track=3"),
+        (("--reward-weight", "joy=2"), "the reward has no term 'joy'"),
+        (("--obs", "raw", *seen), "--obs and --entries: give one of them"),
+        (("--entries", "twin_crosstrack"), "no entry 'twin_crosstrack'"),
+        (("--init", "none.npz"), "none.npz: cannot be read"),
+    ):
+        output = command(*words, *wrong, "--out", "wrong", check=2).output
+        assert error in " ".join(output.split())

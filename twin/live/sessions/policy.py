@@ -1,0 +1,196 @@
+"""A trained agent, or a controller, that sails episodes at the pace of the clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.agents.agent import Agent
+from twin.agents.evaluation import make_envs
+from twin.digital_twin import Twin
+from twin.live.sessions.session import MAX_LAG, Session, SessionError, Snapshot
+from twin.live.sessions.tracker import TwinMonitor
+from twin.predictors.registry import DEFAULT, predictor_class
+from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
+from twin.sim.oracle import simulator_options
+from usv_gym.envs.env import Recorded
+from usv_gym.world.faults import Disturbance, Fault
+from usv_gym.world.realisation import Sea
+
+__all__ = ["PolicySession"]
+
+Array = NDArray[np.float64]
+
+NEVER = 1e12
+"""Start of a loss that has not been ordered, s."""
+
+LOSSES = ("gps", "imu")
+"""Sensors that may be lost by order, in the places of their faults."""
+
+
+class PolicySession(Session):
+    """Episodes that an agent steers, one after the other, with a twin that looks on.
+
+    The agent decides on its own observation, as in its training. Between two decisions the rows of
+    the episode are shown one by one. The page can lose sensors, begin the next episode, and record
+    logs.
+
+    Parameters
+    ----------
+    agent : Agent
+        Steers.
+    folder : Path
+        Logs are recorded there.
+    seed : int
+        Of the first episode; each one after it has the next seed.
+    predictor : str
+        Of the twin that is shown. That of the agent's observation is ``env["twin"]``.
+    faults : sequence of Disturbance
+        Faults of sensors beside those that are ordered.
+    **env
+        Options of :func:`twin.agents.evaluation.make_envs`, with one sea state.
+
+    Raises
+    ------
+    AgentError
+        The agent does not suit the environment.
+    """
+
+    has_truth = True
+
+    offers = "lose its sensors, begin its next episode, and record logs to the folder of --out"
+
+    def __init__(
+        self, agent: Agent, folder: Path, *, seed: int = 0, predictor: str = DEFAULT,
+        faults: Sequence[Disturbance] = (), **env: Any,
+    ) -> None:  # fmt: skip
+        ordered = tuple(Fault(kind, NEVER, 1.0) for kind in LOSSES)
+        self.agent = agent
+        self.envs = make_envs(
+            1,
+            observation=agent.observation,
+            autoreset_mode="Disabled",
+            record=True,
+            **{**env, "faults": (*ordered, *faults)},
+        )
+        vessel, sim = self.envs.vessel, self.envs.simulation
+        particulars = particulars_of(vessel, sim.suite, sim.dof)
+        super().__init__(vessel, particulars, folder)
+        given: dict[str, Any] = {}
+        if predictor_class(predictor).needs_simulator:
+            given = simulator_options(predictor, vessel, self.envs.seas[0], sim.dof)
+        self.monitor = TwinMonitor(Twin(particulars, predictor, seed=seed, **given))
+        self._result = "none has ended yet"
+        self._rows: deque[Recorded] = deque()
+        self._begin(seed)
+
+    @property
+    def t(self) -> float:
+        """Time of the episode that is shown, s."""
+        return float(self._row.t)
+
+    def next_episode(self) -> None:
+        """Begin the next episode; a log that is being recorded ends."""
+        self.record(False)
+        self.monitor.twin.reset()
+        self.monitor = TwinMonitor(self.monitor.twin)
+        self._begin(self.seed + 1)
+        self.changed += 1
+
+    def lose(self, kind: str, seconds: float) -> None:
+        """Lose ``gps`` or ``imu`` for so long, from the next decision on; infinity: for good."""
+        if kind not in LOSSES:
+            raise SessionError(f"no sensor is called {kind!r}; use one of {', '.join(LOSSES)}")
+        row = self._fault(kind)
+        start = float(self.envs.simulation.t[0])
+        row["start"], row["end"] = start, start + seconds
+
+    def is_lost(self, kind: str) -> bool:
+        """Whether ``gps`` or ``imu`` was lost until it is found again."""
+        return bool(self._fault(kind)["end"] == math.inf)
+
+    def toggle_loss(self, kind: str) -> None:
+        """Lose ``gps`` or ``imu`` for good, or find it again."""
+        self.lose(kind, 0.0 if self.is_lost(kind) else math.inf)
+
+    def _fault(self, kind: str) -> Any:
+        """Return the fault of a sensor that is lost by order."""
+        return self.envs.simulation.faults[0, LOSSES.index(kind)]
+
+    def _begin(self, seed: int) -> None:
+        """Begin the episode of a seed."""
+        self.seed = seed
+        self._obs = self.envs.reset(seed=[seed])[0]
+        self.agent.begin(self.envs)
+        self._off: list[float] = []
+        self._over, self._shown = False, 0
+        self._rows.clear()
+        self._take_rows()
+        self._play()
+        self._mark_restart()
+
+    def _decide(self) -> None:
+        """Let the agent decide, and sail until its next decision."""
+        step = self.envs.step(self.agent.act(self._obs))
+        self._obs, info = step[0], step[4]
+        self._off.append(abs(float(info["cross_track_m"][0])))
+        self._over = bool(step[2][0] or step[3][0])
+        if self._over:
+            end = "reached its goal" if info["is_success"][0] else "did not reach its goal"
+            self._result = f"seed {self.seed}: {np.mean(self._off):.2f} m off the path, {end}"
+        self._take_rows()
+
+    def _take_rows(self) -> None:
+        """Take the rows that are new."""
+        assert self.envs.recorder is not None
+        rows = self.envs.recorder.rows[0]
+        self._rows.extend(rows[self._shown :])
+        self._shown = len(rows)
+
+    def _play(self) -> None:
+        """Show the next row."""
+        self._row = row = self._rows.popleft()
+        z, truth = measurement_row(row.z), row.state[list(TRUE_STATE)]
+        self.monitor.step(row.t, z, row.cmd, truth)
+        self._keep(row.t, z, row.cmd, truth)
+
+    def _mark_restart(self) -> None:
+        super()._mark_restart()
+        self._anchor = time.monotonic(), self.t
+
+    def _rest(self) -> float:
+        return self.envs.simulation.dt / max(self.scale, 1e-3)
+
+    def _advance(self) -> None:
+        begin, first = self._anchor
+        now = time.monotonic()
+        goal = first + (now - begin) * self.scale
+        while self.t + self.envs.simulation.dt <= goal + 1e-9:
+            if not self._rows:
+                if self._over:
+                    self.next_episode()
+                    break
+                self._decide()
+            self._play()
+            if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
+                self._anchor = time.monotonic(), self.t
+                break
+
+    def _look(self) -> Snapshot:
+        sim = self.envs.simulation
+        sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
+        path = self.envs.task.points[0].copy()
+        notes = f"{self.agent.name} sails seed {self.seed}", f"last episode: {self._result}"
+        state = self._row.state.copy()
+        return self._seen(state, path=path, sea=sea, rate=self._rate(self.t), notes=notes)
+
+    def _close(self) -> None:
+        self.envs.close()
+        super()._close()
