@@ -112,7 +112,7 @@ class Twin:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.motion = DeckMotion(particulars)
         self.monitor = SensorMonitor(particulars)
-        self.health_history = HealthHistory(self.monitor, self.motion.silent)
+        self.health_history = HealthHistory(self.monitor, self.motion.lasting_troubles)
         self.current_watch = CurrentWatch()
         self.begun = math.nan
         self.datum: Datum | None = None

@@ -33,17 +33,17 @@ class HealthHistory:
     ----------
     monitor : SensorMonitor
         The checks, which others advance.
-    silent : callable, optional
-        Returns the names of the channels of roll, pitch and heave that are silent now, each with
-        the time since its last sample (s) and the reason.
+    troubles : callable, optional
+        Returns the names of the channels of roll, pitch and heave that are silent or in doubt now,
+        each with its status, since how long (s), and the reason.
     """
 
     def __init__(
         self,
         monitor: SensorMonitor,
-        silent: Callable[[], dict[str, tuple[float, str]]] | None = None,
+        troubles: Callable[[], dict[str, tuple[str, float, str]]] | None = None,
     ) -> None:
-        self._monitor, self._silent = monitor, silent
+        self._monitor, self._troubles = monitor, troubles
         self.reset()
 
     def reset(self) -> None:
@@ -53,14 +53,14 @@ class HealthHistory:
 
     def take(self, t: float, begin: float) -> None:
         """Note what changed in the row of time t; the first row was at ``begin``, s."""
-        silent = self._silent() if self._silent is not None else {}
+        troubles = self._troubles() if self._troubles is not None else {}
         # bytes: this runs in every row
-        status = self._monitor.memory[_STATUS].tobytes(), tuple(silent)
+        status = self._monitor.memory[_STATUS].tobytes(), tuple(troubles)
         if status != self._last:
             self._last = status
             found = self._monitor.statuses(begin)
-            for name, (age, why) in silent.items():
-                found[name] = SensorStatus("excluded", t - age, why)
+            for name, (status_now, age, why) in troubles.items():
+                found[name] = SensorStatus(status_now, t - age, why)
             self._changes.append(_Change(t, found))
             del self._changes[:-KEPT]
 
@@ -80,7 +80,7 @@ class HealthHistory:
         for sensor in (*SENSORS, *sorted(channels)):
             spans: list[SensorStatus] = []
             for change in self._changes:
-                # a channel of roll, pitch or heave is named only while it is silent
+                # a channel of roll, pitch or heave is named only while it is in doubt
                 status = change.statuses.get(sensor, SensorStatus("ok", change.t, ""))
                 if not spans or spans[-1].status != status.status:
                     spans.append(status)

@@ -79,6 +79,18 @@ GATE = 6.0
 REFUSALS_MAX = 40.0
 """... but no more than these in a row."""
 
+SURPRISE_SAMPLES, SURPRISE_MAX, SURPRISE_CALM, SURPRISE_LIMIT = 10.0, 9.0, 2.0, 25.0
+"""Gyro and AHRS contradict each other where the mean square of so many innovations of the AHRS is
+so many times what it should be, and no longer below the next number. The last is the most that a
+single one counts, as of a spike."""
+
+SUSPECT_NONE, SUSPECT_GYRO, SUSPECT_AHRS, SUSPECT_BOTH = range(4)
+
+OWN_TIME, SQUARE_TIME, TILT_MARGIN = 10.0, 2.0, math.radians(2.0)
+"""Roll and pitch by gyros alone are held to gravity with the first time, s. Over the second, the
+mean squares of how far they and the AHRS are from gravity differ by the square of the third (rad),
+where one is in doubt."""
+
 LIMITS = (10.0, 10.0, 100.0, 1.4, 1.4, 1e6, 50.0)
 """Sizes that no valid sample of the motion channels reaches: rad/s, m/s2, rad, m, m/s."""
 
@@ -134,6 +146,8 @@ def _start(memory, given):
     memory.velocity[:] = math.nan
     memory.innovation[:, 0] = 0.0
     memory.innovation[:, 1] = FIRST_DENSITY
+    memory.surprise[:] = memory.own[:] = 0.0
+    memory.by_gravity[:, :] = memory.doubted[:, :] = 0.0
     memory.rows = 0.0
 
 
@@ -161,6 +175,33 @@ def _note_planar(z, dt, memory):
         if abs(value) < limit:
             memory.planar[k] = value
     memory.planar_new = 1.0 if all_new else 0.0
+
+
+@inlined
+def _find_suspect(error, var, k, memory):
+    """Return which of gyro and AHRS is in doubt, where they have contradicted each other of late.
+
+    Gravity decides. If it is the gyro, the covariance grows until innovations are as large as it
+    claims. Source: Zhou and Frank 1996 (strong tracking filter).
+    """
+    gyro, ahrs = memory.by_gravity[k, 0], memory.by_gravity[k, 1]
+    P, i, j = memory.P, k * N_TILT + ANGLE, k * N_TILT + AHRS_ERROR
+    total = var + P[i, i] + 2.0 * P[i, j] + P[j, j]
+    square = error * error / total
+    memory.surprise[k] += (min(square, SURPRISE_LIMIT) - memory.surprise[k]) / SURPRISE_SAMPLES
+    if ahrs > gyro + TILT_MARGIN**2:
+        return SUSPECT_AHRS
+    # a gyro in doubt stays so until nothing speaks against it
+    before = memory.doubted[k, 0] > 0.0
+    if memory.surprise[k] <= (SURPRISE_CALM if before else SURPRISE_MAX):
+        return SUSPECT_NONE
+    more = (max(memory.surprise[k], square) - 1.0) * total
+    if gyro > ahrs + (0.0 if before else TILT_MARGIN**2):
+        P[i, i] += more
+        return SUSPECT_GYRO
+    P[i, i] += 0.5 * more
+    P[j, j] += 0.5 * more
+    return SUSPECT_BOTH
 
 
 @inlined
@@ -266,6 +307,8 @@ def take_attitude(t, dt, z, velocity, memory, given):
     _integrate(dt, z, (has_p, has_q, has_lift), silent, velocity[2], memory, given)
     tilt, P, late = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P, given.ahrs_latency
     for k in range(2):
+        for i in range(2):
+            memory.doubted[k, i] += dt if memory.doubted[k, i] > 0.0 else 0.0
         if _fresh(z, dt, memory, 3 + k):
             seen = k * N_TILT + ANGLE, k * N_TILT + AHRS_ERROR
             error = z[AHRS_ROLL + k] - tilt[seen[0]] - tilt[seen[1]]
@@ -274,6 +317,11 @@ def take_attitude(t, dt, z, velocity, memory, given):
                 error += _turned_since(t - late, t, k, memory)
             gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
+            doubted = _find_suspect(error, var, k, memory)
+            gate = 0.0 if doubted == SUSPECT_AHRS else math.inf if doubted != SUSPECT_NONE else gate
+            for i in range(2):
+                since = max(memory.doubted[k, i], dt)
+                memory.doubted[k, i] = since if doubted == SUSPECT_GYRO + i else 0.0
             used = correct(tilt, P, seen, error, var, gate)
             _count_refused(used, memory, 3 + k)
     _hold_to_gravity(dt, z, velocity, memory, given)
@@ -337,6 +385,8 @@ def _integrate(dt, z, has, silent, turn, memory, given):
     memory.tilt[1, ANGLE] = min(max(theta + dt * pitch_rate, -1.5), 1.5)
     memory.turned[0] += dt * roll_rate
     memory.turned[1] += dt * pitch_rate
+    memory.own[0] += dt * roll_rate
+    memory.own[1] += dt * pitch_rate
     tilt, P = shaped(memory.tilt, 0, (2 * N_TILT,)), memory.P
     turn_covariance(P, dt, r * dt)
     for k in range(2):
@@ -447,11 +497,22 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
         for k in range(2):
             seen = k * N_TILT + ANGLE, k * N_TILT + GRAVITY_ERROR
             shown = math.asin(sin_roll if k == 0 else sin_pitch)
+            _hold_own(shown, dt, k, memory)
             error = shown - tilt[seen[0]] - tilt[seen[1]]
             # what lasts for seconds counts as often as it is new
             density = _learn_density(error, dt, memory.innovation[k]) if known else UNKNOWN_DENSITY
             correct(tilt, memory.P, seen, error, density / dt, GATE)
     before[0], before[1] = u, v
+
+
+@inlined
+def _hold_own(shown, dt, k, memory):
+    """Hold the tilt by gyros alone to gravity, and note how far it and the AHRS are from it."""
+    share, squares = min(dt / SQUARE_TIME, 1.0), memory.by_gravity[k]
+    squares[0] += share * ((shown - memory.own[k]) ** 2 - squares[0])
+    if memory.ages[3 + k] < HELD:
+        squares[1] += share * ((shown - memory.last[3 + k]) ** 2 - squares[1])
+    memory.own[k] += min(dt / OWN_TIME, 1.0) * (shown - memory.own[k])
 
 
 @inlined

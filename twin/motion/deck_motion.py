@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from twin.channels import PSI, R, U
+from twin.channels import AHRS_ROLL, MOTION_AT, PSI, R, U
 from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
 from twin.motion.attitude import is_measured, take_attitude
 from twin.motion.forecast import forecast_motion, quiet_probabilities
@@ -107,6 +107,13 @@ def _places(channels: str, planar: str) -> list[int]:
 
 
 _AGES, _LAST = _places("ages", "planar_ages"), _places("last", "planar")
+
+_SUSPECT_AT = field_at(MOTION, "attitude") + field_at(ATTITUDE, "doubted")
+
+_TILT_SENSORS = tuple(
+    (MOTION_CHANNELS[k], MOTION_CHANNELS[AHRS_ROLL - MOTION_AT + k]) for k in range(2)
+)
+"""The gyro and the angle of the AHRS of roll and of pitch."""
 
 
 def initial_motion() -> Array:
@@ -474,19 +481,26 @@ class DeckMotion:
         So it is with the horizontal accelerometers. Channels that never had a sample are not
         named: a boat need not have them.
         """
-        found = {name: ("excluded", *pair) for name, pair in self._silent(BRIDGED).items()}
+        found = self._suspected(BRIDGED)
         for name, refused in zip(MOTION_CHANNELS, self.record["attitude"]["refused"], strict=True):
             if refused > _REFUSED:
                 why = f"{name} contradicts the other sensors"
                 found.setdefault(name, ("doubtful", 0.0, why))
         return found
 
-    def silent(self) -> dict[str, tuple[float, str]]:
-        """Return age (s) and reason of each channel that has said nothing new for :data:`NOTED`.
+    def lasting_troubles(self) -> dict[str, tuple[str, float, str]]:
+        """Return the same of channels that are silent or in doubt for longer than :data:`NOTED`."""
+        return self._suspected(NOTED) if self.active else {}
 
-        Channels that were never there are not named.
-        """
-        return self._silent(NOTED) if self.active else {}
+    def _suspected(self, beyond: float) -> dict[str, tuple[str, float, str]]:
+        """Return status, age and reason of channels silent or in doubt for so long, s."""
+        found = {name: ("excluded", *pair) for name, pair in self._silent(beyond).items()}
+        doubted = self.memory[_SUSPECT_AT : _SUSPECT_AT + 4]
+        for k in np.flatnonzero(doubted > beyond) if doubted.any() else ():
+            name, other = _TILT_SENSORS[k // 2] if k % 2 == 0 else _TILT_SENSORS[k // 2][::-1]
+            why = f"{name} contradicts {other} and gravity"
+            found.setdefault(name, ("excluded" if k % 2 else "doubtful", float(doubted[k]), why))
+        return found
 
     def _silent(self, beyond: float) -> dict[str, tuple[float, str]]:
         """Return age and reason of each channel without a new sample for so long, s."""
@@ -561,5 +575,6 @@ FIELDS = {
     "attitude.P": Field(covariance=True),
     "attitude.P_vertical": Field(covariance=True),
     "forecast.weight": Field(low=1e-9),
+    **dict.fromkeys(("attitude.surprise", "attitude.doubted", "attitude.by_gravity"), _POSITIVE),
 }
 """What the fields of a saved state may hold."""

@@ -105,6 +105,15 @@ ATTITUDE = np.dtype(
         ("ages", "f8", 7),  # time since the last new sample of each motion channel, s
         ("last", "f8", 7),  # that sample; NaN before the first
         ("refused", "f8", 7),  # runs of refused samples
+        ("surprise", "f8", 2),  # mean square of the innovations of the AHRS over their variance
+        (
+            "doubted",
+            "f8",
+            (2, 2),
+        ),  # how long gyro and AHRS of roll and pitch are in doubt, s
+        ("own", "f8", 2),  # roll and pitch by gyros and gravity alone, rad
+        ("by_gravity", "f8", (2, 2)),  # mean squares of what gravity shows less these, ...
+        # ... and less the AHRS, rad2
         ("planar", "f8", 3),  # last yaw rate, specific force forward and to starboard
         ("planar_new", "f8"),  # 1 where those of this row are new
         ("planar_ages", "f8", 3),  # time since the last new one of each, s
