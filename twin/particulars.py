@@ -83,19 +83,10 @@ def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
         if value < 0.0 or (value == 0.0 and item.name in positive):
             bound = "above 0" if item.name in positive else "0 or more"
             raise ParticularsError(f"{item.name} = {value} must be {bound}")
-        if item.name in _ANGLES and value > _ANGLES[item.name]:
-            raise ParticularsError(
-                f"{item.name} = {value} must be {_ANGLES[item.name]:.4g} rad or less; "
-                f"{_as_degrees([value])}"
-            )
 
 
-_ANGLES = {
-    **dict.fromkeys(("compass_sd", "compass_bias_sd", "ahrs_sd", "tilt_sd"), ANGLE_SD_MAX),
-    "max_tilt": 0.5 * math.pi,
-}
-"""Angles of one number, and how large they may be, rad."""
-
+_ANGLES = ("compass_sd", "compass_bias_sd", "ahrs_sd", "tilt_sd")
+"""Standard deviations of angles, rad."""
 
 _TRIPLES = {
     "gps_arm": "m forward, to starboard and down of the origin, such as [1.5, -0.2, -2.0]",
@@ -121,6 +112,19 @@ def _check_triple(name: str, value: Any) -> None:
         raise ParticularsError(
             f"{name} = {value!r} must be m, at most {LENGTH_MAX:g}: {_TRIPLES[name]}"
         )
+
+
+def _refuse_degrees(instruments: Any) -> None:
+    """Refuse standard deviations of a file that are in degrees, as far as their size shows it.
+
+    Sensors as bad as that can be simulated, and a log can show such scatter.
+    """
+    for name in _ANGLES if isinstance(instruments, dict) else ():
+        value = instruments.get(name)
+        if isinstance(value, (int, float)) and value > ANGLE_SD_MAX:
+            raise ParticularsError(
+                f"{name} = {value} must be {ANGLE_SD_MAX:g} rad or less; {_as_degrees([value])}"
+            )
 
 
 def _as_degrees(values: Sequence[float]) -> str:
@@ -241,6 +245,11 @@ class Deck:
 
     def __post_init__(self) -> None:
         _check_fields(self, ("max_tilt", "max_speed"))
+        if self.max_tilt > 0.5 * math.pi:
+            raise ParticularsError(
+                f"max_tilt = {self.max_tilt} must be {0.5 * math.pi:.4g} rad or less; "
+                f"{_as_degrees([self.max_tilt])}"
+            )
         if self.point is not None:
             object.__setattr__(self, "point", (*map(float, self.point), 0.0)[:3])
 
@@ -430,6 +439,7 @@ class Particulars:
             about = table["particulars"]
             if isinstance(about, dict) and isinstance(about.get("prior"), str):
                 about = {**about, "prior": BoatPrior.load(path.parent / about["prior"])}
+            _refuse_degrees(table.get("instruments"))
             return cls.from_tables(about, table.get("instruments", {}), table.get("deck", {}))
         except (ParticularsError, BoatPriorError) as error:
             raise ParticularsError(f"{path}: {error}") from None

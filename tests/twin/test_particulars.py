@@ -149,11 +149,15 @@ def test_angles_in_degrees_are_refused_with_the_same_in_rad() -> None:
     ):
         Instruments(imu_mounting=[30, 0, 0])
     assert Instruments(imu_mounting=(math.pi, 0.0, -math.pi)).imu_mounting[0] == math.pi
-    for name in ANGLES:
-        with pytest.raises(ParticularsError, match=rf"{name} = 2\.0 must be 1 rad.*write 0\.03491"):
-            Instruments(**{name: 2.0})
     with pytest.raises(ParticularsError, match=r"max_tilt = 3 must be 1\.571 rad.*write 0\.05236"):
         Deck(max_tilt=3)
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_a_file_with_an_error_in_degrees_is_refused(tmp_path: Path, name: str) -> None:
+    text = TEXT + f"[instruments]\n{name} = 2\n"
+    words = f"{name} = 2 must be 1 rad or less; if it is in degrees, write 0.03491"
+    assert words in refused(tmp_path / "boat.toml", text)
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.log import Log
-from twin.particulars import ANGLE_SD_MAX, DESIGNS, Instruments, Particulars
+from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import (
     HEADINGS,
     MISSION,
@@ -96,10 +96,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             gps_bias_sd=suite.gps_bias,
             # with a margin for latency in waves
             doppler_sd=math.hypot(suite.doppler_white, 0.06),
-            compass_sd=_angle_sd(
-                max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001)
-            ),
-            compass_bias_sd=_angle_sd(suite.compass_bias),
+            compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
+            compass_bias_sd=suite.compass_bias,
             gyro_sd=max(suite.gyro_white, 1e-4),
             gyro_bias_sd=max(suite.gyro_bias, 1e-5),
             accel_sd=math.hypot(suite.accel_white, UPRIGHT),
@@ -110,7 +108,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             gps_arm=suite.gps_arm,
             imu_arm=suite.imu_arm,
             imu_mounting=suite.imu_mounting,
-            ahrs_sd=_angle_sd(max(math.hypot(suite.ahrs_white, suite.ahrs_bias), 1e-4)),
+            ahrs_sd=max(math.hypot(suite.ahrs_white, suite.ahrs_bias), 1e-4),
             ahrs_time=suite.ahrs_bias_time,
             height_sd=max(suite.height_white, 0.02),
             height_bias_sd=suite.height_bias,
@@ -120,11 +118,6 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             **({"wind_height": suite.wind_height} if suite.has_anemometer else {}),
         ),
     )
-
-
-def _angle_sd(sd: float) -> float:
-    """Return what particulars may state: a sensor that is worse says as little."""
-    return min(sd, ANGLE_SD_MAX)
 
 
 def with_deck_point(particulars: Particulars, point: tuple[float, ...]) -> Particulars:
