@@ -302,7 +302,7 @@ class TrustMeter:
         if not predictor.ready:
             return
         plan, dt = self._plan(row, TILT_HORIZON)
-        after, states = dt * np.arange(1, len(plan) + 1), predictor.mean(plan, dt)
+        after, states = dt * np.arange(1.0, len(plan) + 1.0), predictor.mean(plan, dt)
         self._tilt.note(self.twin.motion.forecast(after, states, predictor.state))
 
     def _score(self, row: int, t: float) -> None:
