@@ -34,7 +34,8 @@ heave. Then these go out, the first for now and each of :data:`MOTION_HORIZONS` 
 
 with roll and pitch (degrees), heave (m, down), vertical speed of the deck point (m/s, down), and
 their standard deviations. The other has the probabilities of a deck that stays quiet for 2, 3 and
-5 s. Where a sensor's status changes, one more goes out ::
+5 s, empty until past forecasts were compared with what came. Where a sensor's status changes, one
+more goes out ::
 
     $PUTWH,hhmmss.sss,gps,excluded*hh<CR><LF>
 
@@ -168,7 +169,7 @@ class NmeaFeed(Feed):
             motion, made = prediction.motion, self.stamp_of(prediction.t0)
             times = 0.0, *MOTION_HORIZONS
             lines += map(write.motion, [made] * len(times), times, *motion.at(times))
-            lines.append(write.quiet(made, motion.quiet))
+            lines.append(write.quiet(made, motion.known_quiet))
         yield "".join(lines).encode()
 
     def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:

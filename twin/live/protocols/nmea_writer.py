@@ -160,8 +160,10 @@ class NmeaWriter:
         return self.proprietary("UTW", *fields)
 
     def quiet(self, stamp: float, probabilities: Array) -> str:
-        """Return the probabilities (3,) of a quiet deck."""
-        fields = ("Q", _clock(stamp), *(f"{value:.2f}" for value in probabilities))
+        """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
+        values = probabilities.tolist()
+        texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
+        fields = ("Q", _clock(stamp), *texts)
         return self.proprietary("UTW", *fields)
 
     def predicted(

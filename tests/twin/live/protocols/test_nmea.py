@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from datetime import datetime, timezone
 
@@ -348,6 +349,9 @@ def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
     )
     (quiet,) = [text.partition("*")[0].split(",")[2:] for text in lines if "PUTWQ" in text]
     assert quiet == ["0.90", "0.80", "0.60"]
+    learning = replace(prediction, motion=replace(prediction.motion, ready=False))
+    text = b"".join(wire.feed.encode(estimate, learning)).decode()
+    assert re.search(r"\$PUTWQ,[0-9.]+,,,\*", text)
     wire.tell(data)
     assert wire.balance()["own"] == len(lines)
 
