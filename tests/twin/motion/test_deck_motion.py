@@ -383,12 +383,12 @@ def learning() -> Twin:
 
 
 def test_the_forecast_of_roll_does_not_depend_on_the_horizon() -> None:
-    short, usual, long = (learning().predict("hold", horizon=h, dt=0.1) for h in (0.1, 10.0, 30.0))
-    assert len(short.t) == 1 and usual.motion is not None
+    short, ten, long = (learning().predict("hold", horizon=h, dt=0.1) for h in (0.1, 10.0, 30.0))
+    assert len(short.t) == 1 and ten.motion is not None
     for other in (short, long):
         assert other.motion is not None
-        np.testing.assert_allclose(other.motion.mean, usual.motion.mean, rtol=0.0, atol=1e-9)
-        np.testing.assert_array_equal(other.motion.sd, usual.motion.sd)
+        np.testing.assert_allclose(other.motion.mean, ten.motion.mean, rtol=0.0, atol=1e-9)
+        np.testing.assert_array_equal(other.motion.sd, ten.motion.sd)
 
 
 def test_after_a_short_plan_the_forecast_of_roll_holds_its_last_command() -> None:

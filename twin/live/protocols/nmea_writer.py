@@ -26,7 +26,7 @@ DAY = 86400.0
 KNOT = 1852.0 / 3600.0
 
 NOT_IN_NMEA = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gps_vz_mps")
-"""Measurements that no sentence of NMEA 0183 has room for."""
+"""Measurements that no sentence of NMEA 0183 holds."""
 
 
 class NmeaWriter:
