@@ -436,13 +436,13 @@ class TrustMeter:
         # a boat that hardly moves is as well known as its sensors are
         ratio = np.where(found.error <= STEADY * found.known, 0.0, found.error / found.held)
         worst, inside = float(ratio.max()), float(found.inside.min())
-        if found.seconds < SCORED_MIN:
-            text += f" (over {found.seconds:.0f} s: too few to judge)"
         colour = _colour(
             worst <= RATIO_GREEN and inside >= _coverage_bound(found.seconds),
             worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
             found.seconds,
         )
+        if colour != GREEN and found.seconds < SCORED_MIN:
+            text += f" (over {found.seconds:.0f} s: too few to judge)"
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
         return Answer("attitude", colour, text, numbers)
 
