@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
 from twin.motion.deck_motion import DeckMotion, MotionEstimate
-from twin.motion.forecast_state import CHANNELS
+from twin.motion.forecast_state import CHANNELS, HORIZONS
 from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
@@ -42,6 +43,9 @@ _DAMAGE = (OSError, RuntimeError, TypeError, ValueError)
 
 _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 """Columns of roll rate, pitch rate and vertical speed of the origin."""
+
+MOTION_AHEAD, MOTION_STEP = float(HORIZONS[-1]), 0.05
+"""How far roll, pitch and heave are forecast, and the finest step of a plan made for that, s."""
 
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
@@ -457,7 +461,8 @@ class Twin:
         -------
         Prediction
             Its ``motion`` has the forecast of roll, pitch, heave and the vertical speed of the
-            deck, and the probability that it stays quiet, where the log shows such motion.
+            deck, and the probability that it stays quiet, where the log shows such motion. It
+            reaches 10 s ahead for any horizon: after the plan, the last command stays.
 
         Raises
         ------
@@ -476,7 +481,7 @@ class Twin:
                 )
             if plan != "hold":
                 raise TwinError(f"plan = {plan!r}; use 'hold' or an array of commands (K, 4)")
-            held = self.monitor.trusted(self.cmd)
+            held, doubted = self.monitor.trusted(self.cmd), False
             rows = np.tile(held, (max(round(horizon / dt), 1), 1))
         else:
             rows = np.ascontiguousarray(plan, dtype=np.float64)
@@ -487,22 +492,31 @@ class Twin:
                 )
             if not np.isfinite(rows).all():
                 raise TwinError("plan holds NaN or infinity; every command must be a number")
-            if self.monitor.commands_doubted:
-                # what the drives got is not known, but what they will get is
-                with self.predictor.drives_at(rows[0]):
-                    return self._with_motion(self.predictor.predict(rows, dt))
-        return self._with_motion(self.predictor.predict(rows, dt))
+            doubted = self.monitor.commands_doubted
+        # what the drives got may not be known, but what they will get is
+        with self.predictor.drives_at(rows[0]) if doubted else nullcontext():
+            return self._with_motion(self.predictor.predict(rows, dt), rows, dt)
 
-    def _with_motion(self, prediction: Prediction) -> Prediction:
+    def _with_motion(self, prediction: Prediction, rows: Array, dt: float) -> Prediction:
         """Return a finite prediction with that of roll, pitch and heave, if measured."""
-        name = self.name or type(self.predictor).__name__
-        after = prediction.t - prediction.t0
-        for states in (prediction.mean, prediction.cov):
-            check_forecast(name, prediction.t0, after, states)
+        self._check_forecast(prediction.t0, prediction.t, prediction.mean)
+        self._check_forecast(prediction.t0, prediction.t, prediction.cov)
         if not self.motion.active:
             return prediction
-        motion = self.motion.forecast(after, prediction.mean, prediction.start)
+        after, states = prediction.t - prediction.t0, prediction.mean
+        if after[-1] < MOTION_AHEAD - 1e-6:
+            # the forecast of the motion is longer: the last command stays
+            step = max(dt, MOTION_STEP)
+            middle = step * (np.arange(math.ceil(MOTION_AHEAD / step - 1e-6)) + 0.5)
+            plan = rows[np.minimum((middle / dt).astype(int), len(rows) - 1)]
+            after, states = np.asarray(middle + 0.5 * step), self.predictor.mean(plan, step)
+            self._check_forecast(prediction.t0, prediction.t0 + after, states)
+        motion = self.motion.forecast(after, states, prediction.start)
         return dataclasses.replace(prediction, motion=motion)
+
+    def _check_forecast(self, t0: float, times: Array, states: Array) -> None:
+        """Refuse a forecast that is not finite."""
+        check_forecast(self.name or type(self.predictor).__name__, t0, times - t0, states)
 
 
 def _floats(table: dict[str, Any]) -> dict[str, Any]:

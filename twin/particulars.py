@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,15 @@ FORWARD = 0.4
 LATENCY_MAX = 10.0
 """Largest age of a sample when it arrives, s."""
 
+LENGTH_MAX = 1000.0
+"""Largest arm of a sensor, and largest height of an anemometer, m."""
+
+ANGLE_SD_MAX = 1.0
+"""Largest standard deviation of an angle, rad: more is taken for degrees."""
+
+OFF_BOAT, OFF_BOAT_MIN = 2.0, 10.0
+"""Nothing on board is farther from the origin than so many lengths, and so many m at least."""
+
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
 ``differential``: the units are fixed and steer by unequal thrust."""
@@ -75,6 +85,9 @@ def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
             raise ParticularsError(f"{item.name} = {value} must be {bound}")
 
 
+_ANGLES = ("compass_sd", "compass_bias_sd", "ahrs_sd", "tilt_sd")
+"""Standard deviations of angles, rad."""
+
 _TRIPLES = {
     "gps_arm": "m forward, to starboard and down of the origin, such as [1.5, -0.2, -2.0]",
     "imu_arm": "m forward, to starboard and down of the origin, such as [1.5, -0.2, -0.3]",
@@ -91,6 +104,33 @@ def _check_triple(name: str, value: Any) -> None:
         isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
     ):
         raise ParticularsError(f"{name} = {value!r} must be three finite numbers: {_TRIPLES[name]}")
+    if name == "imu_mounting" and max(map(abs, value)) > math.pi:
+        raise ParticularsError(
+            f"{name} = {value!r} must be rad, at most {math.pi:.4g}; {_as_degrees(value)}"
+        )
+    if name != "imu_mounting" and max(map(abs, value)) > LENGTH_MAX:
+        raise ParticularsError(
+            f"{name} = {value!r} must be m, at most {LENGTH_MAX:g}: {_TRIPLES[name]}"
+        )
+
+
+def _refuse_degrees(instruments: Any) -> None:
+    """Refuse standard deviations of a file that are in degrees, as far as their size shows it.
+
+    Sensors as bad as that can be simulated, and a log can show such scatter.
+    """
+    for name in _ANGLES if isinstance(instruments, dict) else ():
+        value = instruments.get(name)
+        if isinstance(value, (int, float)) and value > ANGLE_SD_MAX:
+            raise ParticularsError(
+                f"{name} = {value} must be {ANGLE_SD_MAX:g} rad or less; {_as_degrees([value])}"
+            )
+
+
+def _as_degrees(values: Sequence[float]) -> str:
+    """Return what angles are in rad if they were meant in degrees."""
+    shown = ", ".join(f"{math.radians(value):.4g}" for value in values)
+    return f"if it is in degrees, write {f'[{shown}]' if len(values) > 1 else shown}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +158,7 @@ class Instruments:
         Where antenna and IMU sit: m forward, to starboard and down of the origin, which is the
         point whose position and velocity are wanted. The last of the three may be left out.
     imu_mounting : tuple of float
-        Roll, pitch and yaw of the axes of the IMU against those of the boat, rad.
+        Roll, pitch and yaw of the axes of the IMU against those of the boat, rad; up to pi.
     ahrs_sd, ahrs_time : float
         Roll and pitch of an AHRS, rad, and how long its error lasts, s.
     height_sd, height_bias_sd, climb_sd : float
@@ -176,6 +216,10 @@ class Instruments:
             latency = getattr(self, name)
             if latency > LATENCY_MAX:
                 raise ParticularsError(f"{name} = {latency} must be {LATENCY_MAX:g} s or less")
+        if self.wind_height > LENGTH_MAX:
+            raise ParticularsError(
+                f"wind_height = {self.wind_height} must be {LENGTH_MAX:g} m or less"
+            )
         for name in ("gps_arm", "imu_arm", "imu_mounting"):
             given = tuple(map(float, getattr(self, name)))
             object.__setattr__(self, name, (*given, 0.0)[:3])
@@ -201,6 +245,11 @@ class Deck:
 
     def __post_init__(self) -> None:
         _check_fields(self, ("max_tilt", "max_speed"))
+        if self.max_tilt > 0.5 * math.pi:
+            raise ParticularsError(
+                f"max_tilt = {self.max_tilt} must be {0.5 * math.pi:.4g} rad or less; "
+                f"{_as_degrees([self.max_tilt])}"
+            )
         if self.point is not None:
             object.__setattr__(self, "point", (*map(float, self.point), 0.0)[:3])
 
@@ -288,6 +337,7 @@ class Particulars:
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
             )
         self._check_hulls()
+        self._check_places()
         if self.design != "" and self.design not in DESIGNS:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
@@ -317,6 +367,19 @@ class Particulars:
             )
         except BoatPriorError as error:
             raise ParticularsError(f"prior: {error}") from None
+
+    def _check_places(self) -> None:
+        """Refuse sensors and a deck point that are not on the boat."""
+        most, on_board = max(OFF_BOAT * self.length, OFF_BOAT_MIN), self.instruments
+        places = {"gps_arm": on_board.gps_arm, "imu_arm": on_board.imu_arm}
+        if self.deck.point is not None:
+            places["point"] = self.deck.point
+        for name, place in places.items():
+            if max(map(abs, place)) > most:
+                raise ParticularsError(
+                    f"{name} = {list(place)} is not on a boat of {self.length:g} m; state it in "
+                    f"{_TRIPLES[name]}"
+                )
 
     def _check_hulls(self) -> None:
         """Refuse hulls that contradict each other or the mass."""
@@ -376,6 +439,7 @@ class Particulars:
             about = table["particulars"]
             if isinstance(about, dict) and isinstance(about.get("prior"), str):
                 about = {**about, "prior": BoatPrior.load(path.parent / about["prior"])}
+            _refuse_degrees(table.get("instruments"))
             return cls.from_tables(about, table.get("instruments", {}), table.get("deck", {}))
         except (ParticularsError, BoatPriorError) as error:
             raise ParticularsError(f"{path}: {error}") from None

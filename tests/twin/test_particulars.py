@@ -54,7 +54,9 @@ MAY_BE_ZERO = (
 )
 ARMS = ("gps_arm", "imu_arm")
 TRIPLES = (*ARMS, "imu_mounting")
-place = st.floats(allow_nan=False, allow_infinity=False)
+ANGLES = ("compass_sd", "compass_bias_sd", "ahrs_sd", "tilt_sd")
+place = st.floats(-10.0, 10.0)
+turn = st.floats(-math.pi, math.pi)
 above_zero = st.floats(min_value=1e-300, allow_infinity=False)
 zero_or_more = st.floats(min_value=0.0, allow_infinity=False)
 
@@ -66,9 +68,15 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
         **{
             item.name: data.draw(
                 st.tuples(place, place, place)
-                if item.name in TRIPLES
+                if item.name in ARMS
+                else st.tuples(turn, turn, turn)
+                if item.name == "imu_mounting"
                 else st.floats(0.0, 10.0)
                 if item.name.endswith("_latency")
+                else st.floats(1e-300, 1.0)
+                if item.name in ANGLES
+                else st.floats(1e-300, 1000.0)
+                if item.name == "wind_height"
                 else zero_or_more
                 if item.name in MAY_BE_ZERO
                 else above_zero
@@ -82,7 +90,7 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
         instruments=instruments,
         deck=Deck(
             point=data.draw(st.none() | st.tuples(place, place, place)),
-            max_tilt=data.draw(above_zero),
+            max_tilt=data.draw(st.floats(1e-300, 1.5)),
             max_speed=data.draw(above_zero),
         ),
         **{name: data.draw(above_zero) for name in POSITIVE},
@@ -133,6 +141,41 @@ def test_a_deck_point_lies_forward_if_nothing_is_said() -> None:
 def test_impossible_arms_are_refused(name: str, value: Any) -> None:
     with pytest.raises(ParticularsError, match=f"^{name} = .* must be three finite numbers"):
         Instruments(**{name: value})
+
+
+def test_angles_in_degrees_are_refused_with_the_same_in_rad() -> None:
+    with pytest.raises(
+        ParticularsError, match=r"imu_mounting = \[30, 0, 0\] must be rad.*\[0.5236"
+    ):
+        Instruments(imu_mounting=[30, 0, 0])
+    assert Instruments(imu_mounting=(math.pi, 0.0, -math.pi)).imu_mounting[0] == math.pi
+    with pytest.raises(ParticularsError, match=r"max_tilt = 3 must be 1\.571 rad.*write 0\.05236"):
+        Deck(max_tilt=3)
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_a_file_with_an_error_in_degrees_is_refused(tmp_path: Path, name: str) -> None:
+    text = TEXT + f"[instruments]\n{name} = 2\n"
+    words = f"{name} = 2 must be 1 rad or less; if it is in degrees, write 0.03491"
+    assert words in refused(tmp_path / "boat.toml", text)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_sensors_off_the_boat_are_refused(name: str) -> None:
+    with pytest.raises(ParticularsError, match=rf"{name} = .* must be m, at most 1000"):
+        Instruments(**{name: (1500.0, 0.0, 0.0)})
+    on_board = Instruments(**{name: (0.0, 0.0, -16.0)})
+    with pytest.raises(ParticularsError, match=rf"{name} = .* is not on a boat of 7\.5 m; state"):
+        dataclasses.replace(BOAT, instruments=on_board)
+    long = dataclasses.replace(BOAT, length=300.0)
+    assert dataclasses.replace(long, instruments=on_board).instruments == on_board
+
+
+def test_a_deck_point_off_the_boat_is_refused() -> None:
+    with pytest.raises(ParticularsError, match=r"point = .* is not on a boat of 7\.5 m"):
+        dataclasses.replace(BOAT, deck=Deck(point=(-150.0, 0.0)))
+    with pytest.raises(ParticularsError, match=r"wind_height = 1500 must be 1000 m or less"):
+        Instruments(wind_height=1500)
 
 
 @pytest.mark.parametrize("sensor", ["gps", "compass", "ahrs"])

@@ -99,6 +99,9 @@ or the boat's length if that is more."""
 LOSS_SPAN = 60.0
 """Longest loss of GPS that is tried, s."""
 
+EVERY = 2.0
+"""Time between forecasts, s; those of roll and pitch are as often in a light meter."""
+
 LIGHT_ROWS, LIGHT_LOG = 500, 4000
 """Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
 
@@ -235,7 +238,7 @@ class TrustMeter:
     """
 
     def __init__(self, twin: Twin, log: Log, *, light: bool = False) -> None:
-        every, losses, share = 2.0, 8, 4.0
+        every, losses, share = EVERY, 8, 4.0
         if light:
             # a forecast takes as long as some 50 rows, a copy as 200
             count = max(len(log) // LIGHT_ROWS, 6)
@@ -254,6 +257,7 @@ class TrustMeter:
         first, last = float(log.t[0]), float(log.t[-1])
         span = last - first
         self._next = first + min(60.0, 0.4 * span)
+        self._next_tilt = self._next
         self._end = last - HORIZON
         length = min(LOSS_SPAN, 0.4 * span, share * span / max(losses, 1))
         starts = np.linspace(max(self._next, first + 0.5 * span), last - length, losses)
@@ -275,6 +279,10 @@ class TrustMeter:
         self._tilt.take(t)
         if self._reference is None:
             return
+        if self.twin.motion.active and self._next_tilt - 1e-9 <= t <= self._end + 1e-9:
+            while self._next_tilt <= t + 1e-9:
+                self._next_tilt += EVERY
+            self._note_tilt(row)
         if t >= self._next - 1e-9 and t <= self._end + 1e-9:
             while self._next <= t + 1e-9:
                 self._next += self.every
@@ -283,6 +291,20 @@ class TrustMeter:
             del self._loss_starts[0]
             self._lose_gps(row)
 
+    def _plan(self, row: int, horizon: float) -> tuple[Array, float]:
+        """Return the commands after a row, and the time between them, s."""
+        dt = min(max(self.log.dt, STEP), 0.5)
+        return known_plan(self.log, row, horizon, dt), dt
+
+    def _note_tilt(self, row: int) -> None:
+        """Forecast roll and pitch from a row: the boat heels as it will turn until then."""
+        predictor = self.twin.predictor
+        if not predictor.ready:
+            return
+        plan, dt = self._plan(row, TILT_HORIZON)
+        after, states = dt * np.arange(1.0, len(plan) + 1.0), predictor.mean(plan, dt)
+        self._tilt.note(self.twin.motion.forecast(after, states, predictor.state))
+
     def _score(self, row: int, t: float) -> None:
         """Score forecasts of twin and persistence from a row."""
         assert self._reference is not None
@@ -290,11 +312,8 @@ class TrustMeter:
         if not self._reference.known(times):
             return
         truth = self._reference.at(times)
-        dt = min(max(self.log.dt, STEP), 0.5)
-        plan = known_plan(self.log, row, HORIZON, dt)
+        plan, dt = self._plan(row, HORIZON)
         prediction = self.twin.predictor.predict(plan, dt)
-        after = prediction.t - prediction.t0
-        self._tilt.note(self.twin.motion.forecast(after, prediction.mean, prediction.start))
         own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
         error = float(own.displacement[0]), abs(float(own.error[0, -1]))
         covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
@@ -388,7 +407,7 @@ class TrustMeter:
             "persistence_displacement_m": float(held[0]),
             "persistence_heading_rad": float(held[1]),
         }
-        colour = self._colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER)
+        colour = _colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER, self._seconds)
         return Answer("forecast", colour, text, numbers)
 
     def _coverage_answer(self) -> Answer:
@@ -401,15 +420,9 @@ class TrustMeter:
             f"({count} {'forecast' if count == 1 else 'forecasts'})"
         )
         worst = min(place, heading)
-        colour = self._colour(worst >= self._coverage_bound(), worst >= COVERAGE_AMBER)
+        seconds = self._seconds
+        colour = _colour(worst >= _coverage_bound(seconds), worst >= COVERAGE_AMBER, seconds)
         return Answer("coverage", colour, text, {"position": place, "heading": heading})
-
-    def _coverage_bound(self) -> float:
-        """Return the share inside the claimed 90 % from which on it is green."""
-        # forecasts that overlap count as one
-        alone = 1.0 + (self.forecasts[-1].t - self.forecasts[0].t) / HORIZON
-        chance = CHANCE * math.sqrt(CLAIMED * (1.0 - CLAIMED) / alone)
-        return max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
 
     def _tilt_answer(self) -> Answer:
         if (found := self._tilt.score()) is None:
@@ -423,17 +436,20 @@ class TrustMeter:
         # a boat that hardly moves is as well known as its sensors are
         ratio = np.where(found.error <= STEADY * found.known, 0.0, found.error / found.held)
         worst, inside = float(ratio.max()), float(found.inside.min())
-        colour = self._colour(
-            worst <= RATIO_GREEN and inside >= self._coverage_bound(),
+        colour = _colour(
+            worst <= RATIO_GREEN and inside >= _coverage_bound(found.seconds),
             worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
+            found.seconds,
         )
+        if colour != GREEN and found.seconds < SCORED_MIN:
+            text += f" (over {found.seconds:.0f} s: too few to judge)"
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
         return Answer("attitude", colour, text, numbers)
 
-    def _colour(self, is_green: bool, is_amber: bool) -> str:
-        """Return the colour of scores of the forecasts; few of them are never red."""
-        few = self.forecasts[-1].t - self.forecasts[0].t < SCORED_MIN
-        return GREEN if is_green else AMBER if is_amber or few else RED
+    @property
+    def _seconds(self) -> float:
+        """Time over which forecasts were scored, s."""
+        return self.forecasts[-1].t - self.forecasts[0].t
 
     def _loss_answer(self) -> Answer:
         if not self.losses:
@@ -502,6 +518,18 @@ class TrustMeter:
         }
         found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
         return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
+
+
+def _coverage_bound(seconds: float) -> float:
+    """Return the share inside the claimed 90 % from which on it is green, of forecasts so long."""
+    # forecasts that overlap count as one
+    chance = CHANCE * math.sqrt(CLAIMED * (1.0 - CLAIMED) / (1.0 + seconds / HORIZON))
+    return max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
+
+
+def _colour(is_green: bool, is_amber: bool, seconds: float) -> str:
+    """Return the colour of scores of forecasts over a time, s; few of them are never red."""
+    return GREEN if is_green else AMBER if is_amber or seconds < SCORED_MIN else RED
 
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:

@@ -283,7 +283,7 @@ def benchmark_command(
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
-    print_verdict({**results, "notes": notes})
+    print_verdict({**results, "notes": []})  # they were printed before the runs
     if verbose:
         print_results(results, [name for name in asked if name not in names])
     for line in not_scored:

@@ -10,7 +10,7 @@ import typer
 from rich.progress import TimeRemainingColumn
 
 from twin.cli.common import console, new_table, note, progress_bar, write_json, write_text
-from usv_gym.design.checks import Inspection, inspect
+from usv_gym.design.checks import HIGHEST, SEAS, Inspection, inspect
 from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.design.panels import FREQUENCIES, capytaine, make_table
 from usv_gym.hydro.codes import Water, read_results
@@ -221,8 +221,20 @@ def _print_inspection(found: Inspection) -> None:
     for row in found.speeds:
         speeds.add_row(*(f"{value:.4g}" for value in row.values()))
     console.print(speeds)
+    console.print(_capsizing(found), highlight=False, soft_wrap=True)
     for finding in found.findings:
         kind, style = ("error", "red") if finding.error else ("warning", "yellow")
         console.print(f"{kind}: {finding.text}", style=style, highlight=False, soft_wrap=True)
     warnings = len(found.findings) - len(found.errors)
     console.print(f"{len(found.errors)} error(s), {warnings} warning(s)")
+
+
+def _capsizing(found: Inspection) -> str:
+    """Return in which seas a vessel capsizes with six degrees of freedom, and which were tried."""
+    over = [sea for sea, trial in found.seaway.items() if trial["capsized"]]
+    upright = [sea for sea in found.seaway if sea not in over]
+    rest = [sea for sea in SEAS if sea not in found.seaway]
+    said = {"capsizes in": over, "upright in": upright, "not tried:": rest}
+    parts = [f"{what} sea {', '.join(seas)}" for what, seas in said.items() if seas]
+    why = " (errors)" if found.errors else f" (rougher, or waves above {HIGHEST:g} lengths)"
+    return f"a minute with dof=6: {'; '.join(parts)}{why if rest else ''}"

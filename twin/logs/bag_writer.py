@@ -1,7 +1,8 @@
 """A run as an MCAP file of ROS 2 messages, for Foxglove, PlotJuggler and ROS itself.
 
 Frames are those of REP 103 and 105: ``map`` has x east, y north, z up, and ``base_link`` x forward,
-y to port, z up. Angles turn to port above 0, and a yaw of 0 points east.
+y to port, z up. Angles turn to port above 0, and a yaw of 0 points east. A heading is a quaternion,
+so that whole turns are lost.
 """
 
 from __future__ import annotations

@@ -301,6 +301,11 @@ class MotionForecast:
     ready: bool = True
 
     @property
+    def known_quiet(self) -> Array:
+        """The probabilities of ``quiet``, NaN before they are ``ready``: for files and feeds."""
+        return self.quiet if self.ready else np.full_like(self.quiet, math.nan)
+
+    @property
     def low(self) -> Array:
         """5 % points, shape (22, 4)."""
         return self.mean - Z90 * self.sd
@@ -332,7 +337,7 @@ class MotionForecast:
     def columns(self, t: Array) -> dict[str, Array]:
         """Return columns by name at times (N,): means, then ``sd_``, ``low_`` and ``high_``.
 
-        Then those of ``quiet``, from ``t0`` on and so the same in every row.
+        Then those of :attr:`known_quiet`, from ``t0`` on and so the same in every row.
         """
         mean, sd = self.at(t - self.t0)
         parts = {"": mean, "sd_": sd, "low_": mean - Z90 * sd, "high_": mean + Z90 * sd}
@@ -341,7 +346,7 @@ class MotionForecast:
             for kind, part in parts.items()
             for k, name in enumerate(CHANNELS)
         }
-        quiet = zip(QUIET_SPANS, self.quiet.tolist(), strict=True)
+        quiet = zip(QUIET_SPANS, self.known_quiet.tolist(), strict=True)
         return moments | {f"quiet_{span:g}s": np.full(len(t), chance) for span, chance in quiet}
 
 

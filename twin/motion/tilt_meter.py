@@ -26,6 +26,7 @@ class TiltScore(NamedTuple):
     """How forecasts of roll and pitch turned out."""
 
     n: int
+    seconds: float  # from the first to the last
     error: Array  # (2,) root mean square, rad
     held: Array  # (2,) the same of the present angle, held, rad
     known: Array  # (2,) standard deviation of the angle of now, root mean square, rad
@@ -45,6 +46,7 @@ class TiltMeter:
         self._motion = motion
         self._due: deque[MotionForecast] = deque()
         self._found: list[tuple[Array, Array, Array, Array]] = []
+        self._made: list[float] = []
 
     def note(self, forecast: MotionForecast | None) -> None:
         """Keep a forecast to be scored; those before the first verified one say little."""
@@ -62,6 +64,7 @@ class TiltMeter:
             error = mean[0, :_ANGLES] - angle
             held = made.mean[0, :_ANGLES] - angle
             inside = np.abs(error) <= Z90 * sd[0, :_ANGLES]
+            self._made.append(made.t0)
             self._found.append((error, held, made.sd[0, :_ANGLES], inside.astype(np.float64)))
 
     def score(self) -> TiltScore | None:
@@ -70,4 +73,5 @@ class TiltMeter:
             return None
         error, held, sd, inside = map(np.array, zip(*self._found, strict=True))
         error, held, sd = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, held, sd))
-        return TiltScore(len(self._found), error, held, sd, inside.mean(axis=0))
+        seconds = self._made[-1] - self._made[0]
+        return TiltScore(len(self._found), seconds, error, held, sd, inside.mean(axis=0))

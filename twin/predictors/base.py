@@ -158,7 +158,7 @@ class Prediction:
         means by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and
         ``high_``. Where there is a ``motion``, those of ``twin.motion.CHANNELS`` follow, and
         ``quiet_2s``, ``quiet_3s`` and ``quiet_5s``: the probabilities of a quiet deck from ``t0``
-        on, the same in every row.
+        on, the same in every row. They are NaN, an empty cell of a file, until ``motion.ready``.
 
         Parameters
         ----------

@@ -187,6 +187,12 @@ class TwinObservation(
         return whole
 
 
+def _set_deck_point(options: dict[str, Any], particulars: Particulars | None) -> None:
+    """Add the deck point of particulars to the options of an environment that rolls."""
+    if particulars is not None and particulars.deck.point is not None and options.get("dof") == 6:
+        options.setdefault("deck_point", particulars.deck.point)
+
+
 class USVTwinEnv(USVEnv):
     """``USVTwin-v0``: :class:`USVEnv` and the twin's part of the observation in one.
 
@@ -216,8 +222,7 @@ class USVTwinEnv(USVEnv):
         **kwargs: Any,
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
-        if particulars is not None and particulars.deck.point is not None:
-            kwargs.setdefault("deck_point", particulars.deck.point)
+        _set_deck_point(kwargs, particulars)
         super().__init__(observer=watch, **kwargs)
 
     @property
@@ -254,8 +259,7 @@ class USVTwinVectorEnv(USVVectorEnv):
         **kwargs: Any,
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
-        if particulars is not None and particulars.deck.point is not None:
-            kwargs.setdefault("deck_point", particulars.deck.point)
+        _set_deck_point(kwargs, particulars)
         super().__init__(num_envs, observer=watch, **kwargs)
 
     def twin(self, i: int) -> Twin:

@@ -127,7 +127,8 @@ class EnvConfig:
         is that of the task: 0, but for ``"seakeeping"``.
     deck_point : tuple of float, optional
         Point of the deck where the vertical acceleration counts, m forward, to starboard and down
-        of the origin; 0.4 lengths forward if left out. It is that of the twin's forecasts, too.
+        of the origin; 0.4 lengths forward if left out. It is that of the twin's forecasts, too,
+        and needs ``dof=6``.
     actions : str
         ``"common"`` or ``"units"``.
     frame_skip : int
@@ -174,6 +175,11 @@ class EnvConfig:
             check_number("motion_penalty", self.motion_penalty, 0.0, PENALTY_MAX)
         if self.deck_point is not None:
             _check_point(self.deck_point)
+            if self.dof != 6:
+                raise UsvTwinError(
+                    f"deck_point = {self.deck_point!r}: the deck of a boat with dof={self.dof} "
+                    "does not move; use dof=6, or leave it out"
+                )
             object.__setattr__(self, "deck_point", tuple(map(float, self.deck_point)))
         if not isinstance(self.reward_weights, Mapping | None):
             raise UsvTwinError(

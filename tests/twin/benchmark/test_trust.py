@@ -21,6 +21,7 @@ from twin.benchmark.trust import (
     worst_of,
 )
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
+from twin.motion.tilt_meter import TiltScore
 from twin.predictors.ukf import UKFPredictor
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -276,13 +277,46 @@ def test_twins_without_parameters_are_scored_too(boat: Particulars, log: Log) ->
 
 
 @pytest.fixture(scope="module")
-def rolling() -> Verdict:
-    """Return the verdict on a boat that rolls in waves from its bow."""
+def rolling_log() -> Log:
+    """Return a log of a boat that rolls in waves from its bow."""
     vessel = Vessel.load("usv75")
     log = simulate(
         "heading135", vessel=vessel, sea=SeaState.named("2"), duration=180.0, seed=3, dof=6
     )
-    return verdict_of(particulars_of(vessel, dof=6), log.without_truth())
+    return log.without_truth()
+
+
+@pytest.fixture(scope="module")
+def rolling_boat() -> Particulars:
+    """Return its particulars."""
+    return particulars_of(Vessel.load("usv75"), dof=6)
+
+
+@pytest.fixture(scope="module")
+def rolling(rolling_boat: Particulars, rolling_log: Log) -> Verdict:
+    """Return the verdict on it."""
+    return verdict_of(rolling_boat, rolling_log)
+
+
+def test_light_and_full_scores_say_the_same_of_roll_and_pitch(
+    rolling: Verdict, rolling_boat: Particulars, rolling_log: Log
+) -> None:
+    assert verdict_of(rolling_boat, rolling_log, light=True).answers[-1] == rolling.answers[-1]
+
+
+def test_few_bad_forecasts_of_roll_are_amber_and_many_are_red(
+    rolling_boat: Particulars, rolling_log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = np.array([0.3, 0.3])
+    twin = Twin(rolling_boat, "persistence")
+    twin.run(rolling_log.slice(0.0, 1.0))
+    for seconds, colour in ((6.0, AMBER), (59.0, AMBER), (61.0, RED)):
+        meter = TrustMeter(twin, rolling_log, light=True)
+        score = TiltScore(9, seconds, bad, 0.5 * bad, 0.01 * bad, 0.2 * bad)
+        monkeypatch.setattr(meter._tilt, "score", lambda score=score: score)
+        answer = meter.verdict().answers[-1]
+        assert (answer.about, answer.colour) == ("attitude", colour)
+        assert ("too few to judge" in answer.text) == (colour == AMBER)
 
 
 def test_forecasts_of_roll_and_pitch_are_a_sixth_answer(rolling: Verdict) -> None:

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.benchmark.protocol import Case, Settings, left_out
-from twin.cli import view
+from twin.cli import benchmark, view
 from twin.cli.interfaces import sitl
 from twin.cli.main import app
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
@@ -64,6 +64,40 @@ def test_a_benchmark_says_once_for_each_sea_that_its_vessel_will_capsize() -> No
     assert not any("capsizes" in line for line in left_out(Settings(**settings)))  # type: ignore[arg-type]
     recorded = Settings(**settings, dof=6, scenarios=())  # type: ignore[arg-type]
     assert not any("capsizes" in line for line in left_out(recorded))
+
+
+def test_a_benchmark_prints_a_note_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(benchmark, "left_out", lambda settings: ("it capsizes",))
+    simulated = ["simulate", "straight", "--duration", "90", "--out", "a.csv"]
+    assert CliRunner().invoke(app, simulated).exit_code == 0
+    asked = [
+        "benchmark",
+        "--log",
+        "a.csv",
+        "--predictors",
+        "persistence",
+        "--out",
+        "out",
+        "--jobs",
+        "1",
+    ]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 0, result.output
+    assert result.output.count("it capsizes") == 1
+    assert "it capsizes" in Path("out/results.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("otter", "upright in sea 2; not tried: sea 3, 4 (rougher, or waves above 0.5 lengths)"),
+        ("usv75", "a minute with dof=6: upright in sea 2, 3, 4\n"),
+        ("kvlcc2_l7", "capsizes in sea"),
+    ],
+)
+def test_vessel_check_says_in_which_seas_a_vessel_capsizes(name: str, said: str) -> None:
+    assert said in CliRunner().invoke(app, ["vessel", "check", name]).output
 
 
 def test_a_view_says_it_of_the_vessel_and_sea_that_are_chosen(tmp_path: Path) -> None:

@@ -13,12 +13,15 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from tests.twin.logs.foreign import COLUMN, run
+from twin import Twin
 from twin.cli.main import app
 from twin.logs.bag_writer import Forecast, write_bag
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import ExportError, StateTable
+from twin.sim.bridge import particulars_of
 from twin.tilt import body_rates
+from usv_gym import Vessel
 
 pytest.importorskip("rosbags")
 
@@ -26,6 +29,7 @@ DATUM = Datum(latitude=59.9, longitude=10.7, epoch=1_764_115_200.25)
 START = 1_764_115_200_250_000_000
 """The same in ns: a double cannot hold it."""
 
+BOAT = particulars_of(Vessel.load("usv75"))
 RUN = dataclasses.replace(run(100, truth=True), datum=DATUM)
 STATE = np.array([10.0, 20.0, 0.5, 3.0, 0.4, 0.1])
 """North, east, heading, forward, to starboard, yaw rate."""
@@ -103,6 +107,23 @@ def test_a_log_reads_back(tmp_path):
     assert np.allclose(log.cmd[1:], RUN.cmd[1:], atol=1e-12)
     for name, j in COLUMN.items():
         assert np.allclose(log.z[:, j], RUN.z[:, j], atol=1e-12), name
+
+
+def test_whole_turns_of_the_heading_are_lost_and_twins_do_not_mind(tmp_path):
+    path = tmp_path / "a.mcap"
+    turns, j = np.repeat([-1.0, 0.0, 2.0], -(-len(RUN) // 3))[: len(RUN)], COLUMN["compass_rad"]
+    z = RUN.z.copy()
+    z[:, j] += 2.0 * np.pi * turns
+    log = dataclasses.replace(RUN, z=z)
+    log.write(path)
+    back = Log.read(path)
+    apart = (log.z[:, j] - back.z[:, j]) / (2.0 * np.pi)
+    assert np.allclose(apart, np.round(apart), atol=1e-9) and np.abs(apart).max() >= 1.0
+    assert (back.z[:, j] >= 0.0).all() and (back.z[:, j] <= 2.0 * np.pi).all()
+    for name in ("persistence", "ukf"):
+        found = [Twin(BOAT, name).run(one) for one in (log, back)]
+        for column in ("x_m", "y_m", "u_mps", "r_radps"):
+            assert np.allclose(found[0][column], found[1][column], atol=1e-9, equal_nan=True)
 
 
 def test_a_log_without_a_date_reads_back(tmp_path):

@@ -372,3 +372,43 @@ def test_any_rows_leave_forecasts_finite(steps: list[float], seed: int, size: fl
 def test_the_names_of_the_horizons_are_among_the_rows() -> None:
     assert set(MOTION_HORIZONS) <= set(HORIZONS.tolist())
     assert {AHRS_PITCH, GPS_Z, GPS_VZ} <= set(range(MOTION_AT, len(MEASUREMENTS)))
+
+
+@functools.cache
+def learning() -> Twin:
+    """Return a twin after 45 s: it has a fit, but no forecast that was compared."""
+    twin = Twin(BOAT, "ukf")
+    twin.run(sailed("random", "3", 1, 60.0).slice(0.0, 42.0).without_truth())
+    return twin
+
+
+def test_the_forecast_of_roll_does_not_depend_on_the_horizon() -> None:
+    short, ten, long = (learning().predict("hold", horizon=h, dt=0.1) for h in (0.1, 10.0, 30.0))
+    assert len(short.t) == 1 and ten.motion is not None
+    for other in (short, long):
+        assert other.motion is not None
+        np.testing.assert_allclose(other.motion.mean, ten.motion.mean, rtol=0.0, atol=1e-9)
+        np.testing.assert_array_equal(other.motion.sd, ten.motion.sd)
+
+
+def test_after_a_short_plan_the_forecast_of_roll_holds_its_last_command() -> None:
+    plan = np.array([[20.0, 20.0, 0.3, 0.3], [10.0, 10.0, -0.2, -0.2]])
+    short = learning().predict(plan, dt=0.1).motion
+    long = learning().predict(np.repeat(plan, [1, 99], axis=0), dt=0.1).motion
+    assert short is not None and long is not None
+    np.testing.assert_allclose(short.mean, long.mean, rtol=0.0, atol=1e-9)
+    fine = learning().predict(np.repeat(plan, 1000, axis=0), dt=1e-4).motion
+    assert fine is not None
+    np.testing.assert_allclose(fine.mean, long.mean, rtol=0.0, atol=math.radians(0.5))
+
+
+def test_odds_of_a_quiet_deck_are_missing_until_they_are_known() -> None:
+    prediction = learning().predict("hold")
+    assert prediction.motion is not None and not prediction.motion.ready
+    table = prediction.table()
+    later = dataclasses.replace(prediction.motion, ready=True)
+    known = dataclasses.replace(prediction, motion=later).table()
+    for span, chance in zip(QUIET_SPANS, prediction.motion.quiet, strict=True):
+        assert np.isnan(table[f"quiet_{span:g}s"]).all()
+        assert (known[f"quiet_{span:g}s"] == chance).all()
+    assert np.isfinite(table["roll_rad"]).all()

@@ -509,6 +509,14 @@ def test_a_deck_point_of_its_own_goes_with_the_log(tmp_path):
     assert Particulars.load(tmp_path / "a.toml").deck.point == POINT
 
 
+def test_a_deck_point_needs_a_boat_that_rolls():
+    with pytest.raises(UsvTwinError, match=r"deck_point = \(2\.5, 1\.0, -1\.5\): .*use dof=6"):
+        make_env(twin=None, deck_point=POINT)
+    # that of particulars is for logs that show it
+    env = make_env(twin="persistence", particulars=POINTED)
+    assert env.twin.particulars.deck.point == POINT
+
+
 def test_two_deck_points_are_refused():
     with pytest.raises(UsvTwinError, match=r"deck_point=\(2\.5, 1\.0, -1\.5\)"):
         make_env(**SEAKEEPING, particulars=POINTED, deck_point=(0.0, 0.0, 0.0))

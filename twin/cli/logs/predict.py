@@ -172,10 +172,13 @@ def _print_motion(motion: MotionForecast, sea: SeaEstimate | None) -> None:
     for time, *rows in zip(after, mean * MOTION_SCALE, Z90 * sd * MOTION_SCALE, strict=True):
         table.add_row(f"{time:g}", *(f"{m:.2f} +-{s:.2f}" for m, s in zip(*rows, strict=True)))
     console.print(table)
-    chances = ", ".join(
-        f"{span:g} s {chance:.0%}" for span, chance in zip(QUIET_SPANS, motion.quiet, strict=True)
-    )
-    console.print(f"quiet deck for the next: {chances}", highlight=False)
-    if not motion.ready:
-        note("the forecast of roll, pitch and heave is still learning: it says little yet")
+    chances = zip(QUIET_SPANS, motion.quiet, strict=True)
+    shown = ", ".join(f"{span:g} s {chance:.0%}" for span, chance in chances)
+    if motion.ready:
+        console.print(f"quiet deck for the next: {shown}", highlight=False)
+    else:
+        note(
+            "the forecast of roll, pitch and heave is still learning: it says little yet, and "
+            "the odds of a quiet deck are not known"
+        )
     print_sea(sea)

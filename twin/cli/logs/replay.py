@@ -6,9 +6,11 @@ import time
 from collections import Counter
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from twin.channels import MEASUREMENTS
 from twin.cli.common import (
     LogArgument,
     MappingOption,
@@ -20,6 +22,7 @@ from twin.cli.common import (
     stopped,
 )
 from twin.live.protocols.mavlink import Servos
+from twin.live.protocols.nmea_writer import NOT_IN_NMEA
 from twin.live.protocols.replay import (
     ORIGIN,
     LinkImpairment,
@@ -79,19 +82,27 @@ def replay_command(
 ) -> None:
     """Send a log as the live stream of a boat, for usv-twin view --nmea or --mavlink.
 
-    NMEA: a datagram for each row, with ZDA, GGA, RMC, HDT, ROT, RPM and RSA where the row has the
-    values. MAVLink: GLOBAL_POSITION_INT, ATTITUDE, SERVO_OUTPUT_RAW, and a heartbeat.
+    NMEA: a datagram for each row, with ZDA, GGA (and height), RMC, HDT, ROT, PASHR and XDR (roll,
+    pitch, their rates), MWV, MWD, RPM and RSA where the row has the values. It has no sentence for
+    accelerations and vertical speed.
+
+    MAVLink: GLOBAL_POSITION_INT, ATTITUDE, HIGHRES_IMU, WIND_COV, SERVO_OUTPUT_RAW, and a
+    heartbeat.
     """
     target = nmea if nmea is not None else mavlink
     if target is None or (nmea is not None and mavlink is not None):
         raise FeedError("name one of --nmea udp://:10110 and --mavlink udp://:14550")
     run = Log.read(log, mapping)
-    known = None if run.datum is None else run.datum.plane
-    place = (known.latitude, known.longitude) if known is not None else ORIGIN
+    plane = None if run.datum is None else run.datum.plane
+    place = (plane.latitude, plane.longitude) if plane is not None else ORIGIN
     if origin is not None:
         place = _origin(origin)
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
+        known = np.asarray(np.isfinite(run.z).any(axis=0))
+        behind = [name for name in NOT_IN_NMEA if known[MEASUREMENTS.index(name)]]
+        if behind:
+            note(f"NMEA 0183 has no sentence for {', '.join(behind)}: not sent")
     else:
         particulars = particulars_for_log(log, ship, mapping)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)

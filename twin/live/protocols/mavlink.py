@@ -17,7 +17,7 @@ local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds ahead and standar
 and east, m. Where roll and pitch are known, ATTITUDE has them, DEBUG_FLOAT_ARRAY ``motion`` has
 rows of nine numbers: seconds ahead, then roll, pitch (rad), heave (m, down), vertical speed of the
 deck (m/s, down) and their standard deviations. ``quiet`` has the probabilities of a deck that stays
-quiet for 2, 3 and 5 s.
+quiet for 2, 3 and 5 s, NaN until past forecasts were compared with what came.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -168,7 +168,7 @@ class MavlinkFeed(Feed):
                 times = (0.0, *MOTION_HORIZONS)
                 table = np.column_stack([times, *ahead.at(times)])
                 yield write.floats(self.stamp_of(prediction.t0), b"motion", table)
-                yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.quiet)
+                yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.known_quiet)
 
     def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
         """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""

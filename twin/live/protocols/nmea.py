@@ -2,7 +2,8 @@ r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as
 
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
 RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers named PTCH or PITCH
-(bow up) and ROLL or HEEL (starboard down). PASHR may be that of Trimble, or ATT, AT2 and HPR of
+(bow up) and ROLL or HEEL (starboard down). Followed by RATE, as in ROLLRATE, they are rates of the
+gyros, degrees/s. PASHR may be that of Trimble, or ATT, AT2 and HPR of
 Ashtech, of which only those with a fixed ambiguity count. MWV with the reference R is the apparent
 wind, MWD the true one; an MWV with the reference T is not followed. The height of a GGA counts as
 well. GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give the time.
@@ -33,7 +34,8 @@ heave. Then these go out, the first for now and each of :data:`MOTION_HORIZONS` 
 
 with roll and pitch (degrees), heave (m, down), vertical speed of the deck point (m/s, down), and
 their standard deviations. The other has the probabilities of a deck that stays quiet for 2, 3 and
-5 s. Where a sensor's status changes, one more goes out ::
+5 s, empty until past forecasts were compared with what came. Where a sensor's status changes, one
+more goes out ::
 
     $PUTWH,hhmmss.sss,gps,excluded*hh<CR><LF>
 
@@ -93,6 +95,9 @@ NO_MODE = ("N", "E")
 
 TILTED = {"PTCH": "pitch", "PITCH": "pitch", "ROLL": "roll", "HEEL": "roll"}
 """How names of transducers begin, and what they measure."""
+
+GYROS = {"roll": "gyro_x_radps", "pitch": "gyro_y_radps"}
+"""Columns of their rates."""
 
 ASHTECH = ("ATT", "AT2", "HPR")
 """Kinds of PASHR with pitch before roll."""
@@ -164,7 +169,7 @@ class NmeaFeed(Feed):
             motion, made = prediction.motion, self.stamp_of(prediction.t0)
             times = 0.0, *MOTION_HORIZONS
             lines += map(write.motion, [made] * len(times), times, *motion.at(times))
-            lines.append(write.quiet(made, motion.quiet))
+            lines.append(write.quiet(made, motion.known_quiet))
         yield "".join(lines).encode()
 
     def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
@@ -404,18 +409,19 @@ def _ashr(fields: Sequence[str]) -> Message | str:
 
 
 def _xdr(sentence: Any) -> Message:
-    """Return roll and pitch of transducers: type A, angle, D, name; again and again."""
+    """Return roll, pitch and rates of transducers: type A, angle, D, name; again and again."""
     found: dict[str, float] = {}
+    rates: dict[str, float] = {}
     fields = sentence.data
     for kind, value, unit, name in zip(*(fields[j::4] for j in range(4)), strict=False):
         words = [part for part in TILTED if name.strip().upper().startswith(part)]
-        if kind == "A" and unit == "D" and words and "RATE" not in name.upper():
-            angle = _number(value)
-            if angle is not None:
-                found.setdefault(TILTED[words[0]], angle)
+        if kind == "A" and unit == "D" and words and (angle := _number(value)) is not None:
+            kept = rates if "RATE" in name.upper() else found
+            kept.setdefault(TILTED[words[0]], angle)
     values = _tilt([found.get("roll"), found.get("pitch")])
+    values |= {GYROS[name]: math.radians(rate) for name, rate in rates.items()}
     # one sentence each is common: then the second is no repetition of the first
-    return Message(" ".join(("XDR", *sorted(found))), values=values, void=not values)
+    return Message(" ".join(("XDR", *sorted(values))), values=values, void=not values)
 
 
 def _mwv(sentence: Any) -> Message | str:

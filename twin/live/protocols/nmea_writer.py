@@ -15,6 +15,7 @@ from twin.live.protocols.sockets import needed
 __all__ = [
     "DAY",
     "KNOT",
+    "NOT_IN_NMEA",
     "NmeaWriter",
 ]
 
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 DAY = 86400.0
 
 KNOT = 1852.0 / 3600.0
+
+NOT_IN_NMEA = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gps_vz_mps")
+"""Measurements that no sentence of NMEA 0183 holds."""
 
 
 class NmeaWriter:
@@ -50,8 +54,15 @@ class NmeaWriter:
         made = self._pynmea2.ProprietarySentence(maker, fields)
         return str(made.render(newline="\r\n"))
 
-    def gga(self, stamp: float, latitude: float, longitude: float, quality: int) -> str:
-        """Return a fix; ``stamp`` is the time of day, s."""
+    def gga(
+        self,
+        stamp: float,
+        latitude: float,
+        longitude: float,
+        quality: int,
+        height: float = math.nan,
+    ) -> str:
+        """Return a fix; ``stamp`` is the time of day, s, ``height`` m above the sea."""
         place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
         satellites = ("", "") if quality == 6 else ("12", "0.8")
         return self.line(
@@ -61,7 +72,7 @@ class NmeaWriter:
             *place[1],
             f"{quality}",
             *satellites,
-            "",
+            "" if math.isnan(height) else f"{height:.3f}",
             "M",
             "",
             "M",
@@ -111,6 +122,12 @@ class NmeaWriter:
             lines.append(self.line("MWD", f"{degrees:.2f}", "T", "", "M", knots, "N", metres, "M"))
         return lines
 
+    def angles(self, values: dict[str, float]) -> list[str]:
+        """Return the angles (rad) or rates (rad/s) of transducers by name, without NaN."""
+        known = {name: value for name, value in values.items() if not math.isnan(value)}
+        parts = [("A", f"{math.degrees(v):.4f}", "D", name) for name, v in known.items()]
+        return [self.line("XDR", *(field for part in parts for field in part))] if parts else []
+
     def attitude(
         self,
         stamp: float,
@@ -143,8 +160,10 @@ class NmeaWriter:
         return self.proprietary("UTW", *fields)
 
     def quiet(self, stamp: float, probabilities: Array) -> str:
-        """Return the probabilities (3,) of a quiet deck."""
-        fields = ("Q", _clock(stamp), *(f"{value:.2f}" for value in probabilities))
+        """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
+        values = probabilities.tolist()
+        texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
+        fields = ("Q", _clock(stamp), *texts)
         return self.proprietary("UTW", *fields)
 
     def predicted(
@@ -186,6 +205,8 @@ class NmeaWriter:
     ) -> list[str]:
         """Return the sentences of one row of a log, the time of the row (ZDA) first.
 
+        Those of :data:`NOT_IN_NMEA` are left out.
+
         Parameters
         ----------
         when : float
@@ -203,7 +224,7 @@ class NmeaWriter:
         moves = not (math.isnan(north) or math.isnan(east))
         lines = [self.line("ZDA", _clock(stamp), *f"{moment:%d %m %Y}".split(), "00", "00")]
         if place is not None:
-            lines.append(self.gga(stamp, *place, quality=4))
+            lines.append(self.gga(stamp, *place, quality=4, height=-known["gps_z_m"]))
         if moves:
             lines.append(self.rmc(stamp, moment.date(), place, north, east, mode="A"))
         if not math.isnan(known["compass_rad"]):
@@ -213,6 +234,9 @@ class NmeaWriter:
         tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
         if not all(map(math.isnan, tilt)):
             lines.append(self.attitude(stamp, math.nan, tilt))
+            lines += self.angles(dict(zip(("ROLL", "PTCH"), tilt, strict=True)))
+        rates = known["gyro_x_radps"], known["gyro_y_radps"]
+        lines += self.angles(dict(zip(("ROLLRATE", "PTCHRATE"), rates, strict=True)))
         lines += self.wind(known)
         left, right, *angles = cmd.tolist()
         lines += [

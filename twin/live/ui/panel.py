@@ -405,10 +405,11 @@ def deck_lines(motion: MotionForecast) -> dict[str, str]:
     """Return how the deck moves by the twin, and how likely it stays quiet."""
     roll, pitch, heave = motion.mean[0, :3]
     spans = ", ".join(f"{span:g}" for span in QUIET_SPANS)
+    chances = ", ".join(f"{100.0 * p:.0f}" for p in motion.quiet) + " %"
     return {
         "roll, pitch (twin)": f"{math.degrees(roll):+.1f}, {math.degrees(pitch):+.1f} deg",
         "heave (twin)": f"{heave:+.2f} m down",
-        f"quiet for {spans} s": ", ".join(f"{100.0 * p:.0f}" for p in motion.quiet) + " %",
+        f"quiet for {spans} s": chances if motion.ready else "still learning",
     }
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from datetime import datetime, timezone
 
@@ -20,7 +21,7 @@ from twin.channels import (
 )
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.nmea_writer import NmeaWriter
+from twin.live.protocols.nmea_writer import NOT_IN_NMEA, NmeaWriter
 from twin.particulars import Particulars
 
 pynmea2 = pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
@@ -282,6 +283,39 @@ def test_one_of_roll_and_pitch_is_written_without_the_other(wire: Wire, missing:
     assert back[at] == pytest.approx(z[at], abs=1e-6, nan_ok=True)
 
 
+def test_height_roll_pitch_and_rates_go_out_as_they_come_in(wire: Wire) -> None:
+    z = np.full(len(MEASUREMENTS), np.nan)
+    names = ("gps_x_m", "gps_y_m", "gps_z_m", "compass_rad", "ahrs_roll_rad", "ahrs_pitch_rad",
+             "gyro_radps", "gyro_x_radps", "gyro_y_radps")  # fmt: skip
+    at = [MEASUREMENTS.index(name) for name in names]
+    z[at] = (0.0, 0.0, -1.25, 0.2, 0.1, -0.05, 0.03, -0.2, 0.15)
+    lines = NmeaWriter("GP").row(START, z, np.zeros(4), (59.5, 10.5))
+    kinds = [text[1:6] for text in lines]
+    assert kinds.count("GPXDR") == 2 and "PASHR" in kinds
+    assert max(map(len, lines)) <= 82
+    gga = next(text for text in lines if text.startswith("$GPGGA")).split(",")
+    assert gga[9:11] == ["1.250", "M"]
+    wire.tell("".join(lines).encode())
+    back = wire.take(after=1.0)[0][1]
+    assert back[at[2:]] == pytest.approx(z[at[2:]], abs=2e-6)
+    assert np.isnan(np.delete(back, at)).all()
+
+
+def test_only_what_is_said_to_have_no_sentence_is_left_out(wire: Wire) -> None:
+    z = np.linspace(0.01, 0.1, len(MEASUREMENTS))
+    wire.tell("".join(NmeaWriter("GP").row(START, z, np.zeros(4), (59.5, 10.5))).encode())
+    lost = np.isnan(wire.take(after=1.0)[0][1])
+    assert {name for name, gone in zip(MEASUREMENTS, lost, strict=True) if gone} == set(NOT_IN_NMEA)
+
+
+def test_rates_of_transducers_are_no_angles(wire: Wire) -> None:
+    wire.tell(line("IIXDR,A,120.0,D,ROLLRATE") + line("IIXDR,A,-9.0,D,PitchRate"))
+    z = row(wire)
+    at = [MEASUREMENTS.index("gyro_x_radps"), MEASUREMENTS.index("gyro_y_radps")]
+    assert np.degrees(z[at]) == pytest.approx([120.0, -9.0])
+    assert np.isnan(z[[AHRS_ROLL, AHRS_PITCH]]).all()
+
+
 def test_a_tilt_that_no_boat_has_is_broken(wire: Wire) -> None:
     wire.tell(line("PASHR,120000.000,090.00,T,-95.000,+02.500,,,,,1,1"))
     assert wire.balance()["broken"] == 1
@@ -315,6 +349,9 @@ def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
     )
     (quiet,) = [text.partition("*")[0].split(",")[2:] for text in lines if "PUTWQ" in text]
     assert quiet == ["0.90", "0.80", "0.60"]
+    learning = replace(prediction, motion=replace(prediction.motion, ready=False))
+    text = b"".join(wire.feed.encode(estimate, learning)).decode()
+    assert re.search(r"\$PUTWQ,[0-9.]+,,,\*", text)
     wire.tell(data)
     assert wire.balance()["own"] == len(lines)
 

@@ -215,6 +215,12 @@ def test_replay_command_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]
         assert re.search(r"sent to udp://:\d+: 1\d\d rows", result.output)
         feed.take()
         assert feed.counts["used"] > 100
+    assert "no sentence for accel_x_mps2, accel_y_mps2: not sent" in " ".join(result.output.split())
+
+
+def test_the_help_of_replay_lists_the_sentences_and_messages_that_carry_attitude() -> None:
+    text = CliRunner().invoke(app, ["replay", "--help"]).output
+    assert {"GGA", "PASHR", "XDR", "MWV", "HIGHRES_IMU"} <= set(re.findall(r"[A-Z_]+", text))
 
 
 @pytest.mark.parametrize(
