@@ -44,8 +44,15 @@ large."""
 _LEAST_TURN = math.radians(6.0)
 """Smaller turns about the third axis are no faults."""
 
-_GAIN, _SHARE = 60.0, 0.15
-"""A fault is one if it explains more than so many variances, and so large a share of those left."""
+_GAIN, _SHARE, _SHARE_TURNED, _SHARE_FITTED = 60.0, 0.1, 0.03, 0.5
+"""A fault is one if it explains more than so many variances, and so large a share of those left:
+exchanges, signs and units; small turns; factors that no unit has."""
+
+_FAINT = 0.2
+"""Columns with smaller factors may as well show nothing."""
+
+_EVIDENT = 20.0
+"""What explains so many times what is left is no accident."""
 
 _GAP = 0.4
 """It must leave no larger share of what the best matrices explain."""
@@ -270,18 +277,47 @@ def judge(evidence: Evidence) -> Verdict | None:
         m = _damped(evidence, fault.matrices, fault.variant, whole)
         errors = float(evidence.errors(m, fault.variant).sum())
         scored.append((left - errors - fault.cost, fault))
-    gain, fault = max(scored, key=lambda pair: pair[0])
     part = _judge_part(evidence, sound)
-    if part is not None and part.gain > (1.0 + _PART_SHARE) * max(gain, 0.0) + _PART:
+    most = max(gain for gain, _ in scored)
+    if part is not None and part.gain > (1.0 + _PART_SHARE) * max(most, 0.0) + _PART:
         return part
-    after = left - gain
-    if gain < _GAIN + _SHARE * after or after - free > _GAP * (left - free) + _GAIN:
+    scored = [pair for pair in scored if _is_fault(evidence, pair[1], pair[0], (left, free))]
+    if not scored:
         return None
+    gain, fault = max(scored, key=lambda pair: pair[0])
     if fault.kind == "turned" and abs(fault.values[0]) < _LEAST_TURN:
         return None
     near = gain - max(_RIVAL, _RIVAL_SHARE * gain)
     rivals = [pair for pair in scored if pair[0] > near and _differ(pair[1], fault)]
     return Verdict(fault, None, gain, max(rivals, key=lambda pair: pair[0])[1] if rivals else None)
+
+
+def _needed(fault: Fault) -> float:
+    """Return the share of what is left that a fault must explain."""
+    if fault.kind == "turned":
+        return _SHARE_TURNED
+    units = (*_UNITS[GYROS], *_UNITS[ACCELEROMETERS], -1.0)
+    fitted = any(value not in units for value in fault.values)
+    return _SHARE_FITTED if fault.kind == "factor" and fitted else _SHARE
+
+
+def _is_fault(evidence: Evidence, fault: Fault, gain: float, errors: tuple[float, float]) -> bool:
+    """Return whether a fault explains enough, with the errors of a sound IMU and the least."""
+    left, free = errors
+    after = left - gain
+    if gain < _GAIN + _needed(fault) * after or after - free > _GAP * (left - free) + _GAIN:
+        return False
+    if fault.kind != "factor" or max(abs(value) for value in fault.values) > _FAINT:
+        return True
+    if gain > _EVIDENT * after:
+        return True  # no other fault makes so much noise
+    # columns of another unit show motion, not only less than they did
+    whole = slice(None)
+    none = _scaled(fault.sensors[0], fault.columns, (0.0,) * len(fault.columns))
+    without, with_it = (
+        float(evidence.errors(_damped(evidence, m, 0, whole)).sum()) for m in (none, fault.matrices)
+    )
+    return without - with_it > 0.5 * _GAIN
 
 
 def _differ(one: Fault, other: Fault) -> bool:

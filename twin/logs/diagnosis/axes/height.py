@@ -49,7 +49,7 @@ def check_height(recording: Recording) -> list[Finding]:
         return _check_place(recording, (t, speed[:, 0])) if len(t) >= 5 * ENOUGH else []
     lift = np.asarray(np.linalg.norm(force, axis=1))
     # an upright boat that is pushed down weighs less
-    sunk = t_force, integrated(t_force, float(lift.mean()) - lift)
+    sunk = t_force, -integrated(t_force, lift - lift.mean())
     if len(t) < 5 * ENOUGH or float(speed.std()) < _STILL:
         return _check_place(recording, sunk)
     found = _check_climb_unit(recording, (t, speed[:, 0]), (t_force, lift))
@@ -57,7 +57,7 @@ def check_height(recording: Recording) -> list[Finding]:
         return found + _check_place(recording, sunk)
     grid = np.arange(t[0] + _SMOOTH, t[-1] - _SMOOTH, _SMOOTH)
     both = [averaged(*signal, grid, _SMOOTH) for signal in ((t, speed[:, 0]), sunk)]
-    step = np.diff(np.column_stack(both), axis=0)
+    step: Array = np.diff(np.column_stack(both), axis=0)
     step = step[np.isfinite(step).all(axis=1)]
     if len(step) < ENOUGH:
         return []

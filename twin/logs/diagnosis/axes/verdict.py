@@ -67,14 +67,16 @@ def check_axes(
     verdict = judge(evidence)
     if verdict is None:
         return []
-    fault, numbers = verdict.fault, {"gain": verdict.gain}
+    fault, rival, numbers = verdict.fault, verdict.rival, {"gain": verdict.gain}
+    if rival is not None and fault.kind == "ahrs":
+        fault, rival = rival, fault
     names = _columns(recording, fault)
     if verdict.span is not None:
         return [_for_a_while(evidence, verdict, names)]
     code, what, remedy = _words(recording, fault)
-    if verdict.rival is not None:
-        other = _columns(recording, verdict.rival)
-        what = f"{names}: {what}; or {other}: {_words(recording, verdict.rival)[1]}"
+    if rival is not None:
+        other = _columns(recording, rival)
+        what = f"{names}: {what}; or {other}: {_words(recording, rival)[1]}"
         remedy = f"the log cannot tell which: record waves from another side ({_AXES})"
         return [Finding(ERROR, code, what, remedy, numbers)]
     if fault.kind == "turned":
