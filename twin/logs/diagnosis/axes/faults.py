@@ -28,10 +28,10 @@ GYROS, ACCELEROMETERS = 0, 1
 _TURNS = np.radians(np.arange(-175.0, 181.0, 5.0))
 
 _UNITS = (
-    (math.pi / 180.0, 1e-3, math.pi / 180e3, 2.0 * math.pi / 60.0),
+    (math.pi / 180.0, 1e-3, math.pi / 180e3),
     (GRAVITY, GRAVITY / 1e3),
 )
-"""Factors of units: deg/s, mrad/s, millidegrees/s, rpm; g, milli-g."""
+"""Factors of units: deg/s, mrad/s, millidegrees/s; g, milli-g."""
 
 _SLIGHT, _WEAK, _LEAST_FACTOR = 1.3, 2.5, 0.05
 """Smaller factors are no faults, of gyros; of horizontal accelerometers, which heel and noise
@@ -41,8 +41,8 @@ _DAMPED = 0.6, 1.05
 """Noise, and motion that the equations leave out, make horizontal forces look so many times as
 large."""
 
-_LEAST_TURN = math.radians(6.0)
-"""Smaller turns about the third axis are no faults."""
+_LEAST_TURN = math.radians(15.0), math.radians(6.0)
+"""Smaller turns about the third axis are no faults, of one sensor and of the whole IMU."""
 
 _GAIN, _SHARE, _SHARE_TURNED, _SHARE_FITTED = 60.0, 0.1, 0.03, 0.5
 """A fault is one if it explains more than so many variances, and so large a share of those left:
@@ -54,7 +54,7 @@ _FAINT = 0.2
 _EVIDENT = 20.0
 """What explains so many times what is left is no accident."""
 
-_GAP = 0.4
+_GAP = 0.7
 """It must leave no larger share of what the best matrices explain."""
 
 _PART, _PART_SHARE, _CLEAR = 100.0, 0.1, 0.5
@@ -285,7 +285,8 @@ def judge(evidence: Evidence) -> Verdict | None:
     if not scored:
         return None
     gain, fault = max(scored, key=lambda pair: pair[0])
-    if fault.kind == "turned" and abs(fault.values[0]) < _LEAST_TURN:
+    least = _LEAST_TURN[len(fault.sensors) - 1] if fault.kind == "turned" else 0.0
+    if fault.kind == "turned" and abs(fault.values[0]) < least:
         return None
     near = gain - max(_RIVAL, _RIVAL_SHARE * gain)
     rivals = [pair for pair in scored if pair[0] > near and _differ(pair[1], fault)]
@@ -294,7 +295,7 @@ def judge(evidence: Evidence) -> Verdict | None:
 
 def _needed(fault: Fault) -> float:
     """Return the share of what is left that a fault must explain."""
-    if fault.kind == "turned":
+    if fault.kind == "turned" and len(fault.sensors) == 2:
         return _SHARE_TURNED
     units = (*_UNITS[GYROS], *_UNITS[ACCELEROMETERS], -1.0)
     fitted = any(value not in units for value in fault.values)

@@ -56,12 +56,13 @@ def check_height(recording: Recording) -> list[Finding]:
     if found:
         return found + _check_place(recording, sunk)
     grid = np.arange(t[0] + _SMOOTH, t[-1] - _SMOOTH, _SMOOTH)
-    both = [averaged(*signal, grid, _SMOOTH) for signal in ((t, speed[:, 0]), sunk)]
-    step: Array = np.diff(np.column_stack(both), axis=0)
+    signals = ((t, speed[:, 0]), sunk)
+    both = np.column_stack([averaged(*signal, grid, _SMOOTH) for signal in signals])
+    step = both[1:] - both[:-1]
     step = step[np.isfinite(step).all(axis=1)]
     if len(step) < ENOUGH:
         return []
-    correlation = float(np.corrcoef(step.T)[0, 1])
+    correlation = float(np.corrcoef(step[:, 0], step[:, 1])[0, 1])
     if not correlation < -_CLEAR:
         return _check_place(recording, (t, speed[:, 0]))
     place = _check_place(recording, (t, -speed[:, 0]))
