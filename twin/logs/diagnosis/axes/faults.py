@@ -48,6 +48,9 @@ _GAIN, _SHARE, _SHARE_TURNED, _SHARE_FITTED = 60.0, 0.1, 0.03, 0.5
 """A fault is one if it explains more than so many variances, and so large a share of those left:
 exchanges, signs and units; small turns; factors that no unit has."""
 
+_TOGETHER = 30.0
+"""What it costs to blame one column more: one that hardly moves fits as well with any factor."""
+
 _FAINT = 0.2
 """Columns with smaller factors may as well show nothing."""
 
@@ -74,7 +77,8 @@ class Fault(NamedTuple):
     kind: str  # factor, axes, turned, ahrs
     sensors: tuple[int, ...]  # GYROS, ACCELEROMETERS or both
     columns: tuple[int, ...]  # of each sensor, that the fault concerns
-    values: tuple[float, ...]  # factors of the columns, or the angle, rad
+    # factors of the columns, 0 for those too small to tell; or the angle, rad
+    values: tuple[float, ...]
     matrices: Array  # (18,)
     variant: int  # of the signs of the AHRS
     cost: float  # of assuming it
@@ -166,7 +170,7 @@ def _of_factors(evidence: Evidence, inside: slice) -> Iterator[Fault]:
     for sensor in (GYROS, ACCELEROMETERS):
         for groups in _groups(sensor):
             columns = tuple(j for group in groups for j in group)
-            extra = 2.0 * (len(columns) - 1)
+            extra = _TOGETHER * (len(columns) - 1)
             for factor in _UNITS[sensor] if len(groups) == 1 else ():
                 values = (factor,) * len(columns)
                 matrices = _scaled(sensor, columns, values)
@@ -288,6 +292,9 @@ def judge(evidence: Evidence) -> Verdict | None:
     least = _LEAST_TURN[len(fault.sensors) - 1] if fault.kind == "turned" else 0.0
     if fault.kind == "turned" and abs(fault.values[0]) < least:
         return None
+    if not _is_seen(evidence, fault):
+        unknown = fault._replace(values=(0.0,) * len(fault.values))
+        return Verdict(unknown, None, gain, None)
     near = gain - max(_RIVAL, _RIVAL_SHARE * gain)
     rivals = [pair for pair in scored if pair[0] > near and _differ(pair[1], fault)]
     return Verdict(fault, None, gain, max(rivals, key=lambda pair: pair[0])[1] if rivals else None)
@@ -308,11 +315,14 @@ def _is_fault(evidence: Evidence, fault: Fault, gain: float, errors: tuple[float
     after = left - gain
     if gain < _GAIN + _needed(fault) * after or after - free > _GAP * (left - free) + _GAIN:
         return False
+    # no other fault makes so much noise
+    return gain > _EVIDENT * after or _is_seen(evidence, fault)
+
+
+def _is_seen(evidence: Evidence, fault: Fault) -> bool:
+    """Return whether columns of another unit show motion, not only less than they did."""
     if fault.kind != "factor" or max(abs(value) for value in fault.values) > _FAINT:
         return True
-    if gain > _EVIDENT * after:
-        return True  # no other fault makes so much noise
-    # columns of another unit show motion, not only less than they did
     whole = slice(None)
     none = _scaled(fault.sensors[0], fault.columns, (0.0,) * len(fault.columns))
     without, with_it = (

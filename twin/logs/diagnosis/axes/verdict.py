@@ -234,6 +234,9 @@ def _of_factors(recording: Recording, fault: Fault) -> tuple[str, str, str]:
     names = [_NAMES[sensor][j] for j in fault.columns]
     values = fault.values
     gyros, yaw_only = sensor == GYROS, names == ["gyro_radps"]
+    if not any(values):
+        what = "far too large for the motion: in another unit, or noise"
+        return "tilt-unit" if gyros else "accel-scale", what, "state the unit in a mapping file"
     if all(_MIRRORED[0] < value < _MIRRORED[1] for value in values):
         remedy = f"{_AXES}: turn the sign (scale = -1.0 in a mapping file)"
         code = "gyro-sign" if yaw_only else "tilt-sign"
