@@ -242,7 +242,7 @@ def _equations(
 
 
 def _variance(block: _Block, count: int) -> float:
-    """Return the variance of equations as the best matrices leave it in the usual window."""
+    """Return the variance of equations as the best matrices leave it in the typical window."""
     each = np.bincount(block.window, minlength=count)
     weight = np.ones(count)
     for _ in range(5):
@@ -250,10 +250,10 @@ def _variance(block: _Block, count: int) -> float:
         fit = np.linalg.lstsq(block.columns * scale[:, None], block.values * scale, rcond=1e-9)[0]
         left = (block.values - block.columns @ fit) ** 2
         power = np.bincount(block.window, left, count) / each
-        usual = max(float(np.median(power)), 1e-12)
-        weight = np.minimum(1.0, 2.0 * usual / np.maximum(power, 1e-12))
+        typical = max(float(np.median(power)), 1e-12)
+        weight = np.minimum(1.0, 2.0 * typical / np.maximum(power, 1e-12))
     signal = np.bincount(block.window, block.values**2, count) / each
-    return usual + _UNMODELLED**2 * float(np.median(signal))
+    return typical + _UNMODELLED**2 * float(np.median(signal))
 
 
 def _add(sums: tuple[Array, Array, Array], block: _Block, variance: float) -> None:

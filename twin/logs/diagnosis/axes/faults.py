@@ -18,7 +18,7 @@ from twin.logs.columns import Array
 from twin.logs.diagnosis.axes.evidence import Evidence
 from twin.particulars import GRAVITY
 
-__all__ = ["ACCELEROMETERS", "GYROS", "SOUND", "Fault", "Verdict", "judge", "unchecked"]
+__all__ = ["ACCELEROMETERS", "GYROS", "SOUND", "Fault", "Verdict", "explain", "unchecked"]
 
 SOUND = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel()])
 """Both matrices of an IMU without a fault."""
@@ -64,10 +64,10 @@ _PART, _PART_SHARE, _CLEAR = 100.0, 0.1, 0.5
 """A fault is of one stretch if that explains so much more, also as a share, than all along, and
 so large a share of what it leaves there."""
 
-_RIVAL, _RIVAL_SHARE = 15.0, 0.02
-"""Two faults that explain alike, to so many variances or such a share, cannot be told apart."""
+_OTHER, _OTHER_SHARE = 15.0, 0.02
+"""Two faults that explain alike, to so many variances or such a share, look alike."""
 
-_BAD, _USUAL = 2.5, 0.25
+_BAD, _TYPICAL = 2.5, 0.25
 """Windows with so many times the errors of the sounder ones, this share, are tried alone."""
 
 
@@ -90,7 +90,7 @@ class Verdict(NamedTuple):
     fault: Fault
     span: tuple[int, int] | None  # windows, first and after the last; None for all
     gain: float  # squared errors less than of a sound IMU, in units of the variance
-    rival: Fault | None  # another fault that explains nearly as much
+    other: Fault | None  # another fault that explains nearly as much
 
 
 def _permutations() -> Iterator[tuple[Array, float, tuple[int, ...]]]:
@@ -269,7 +269,7 @@ def _best_span(gain: Array) -> tuple[int, int]:
     return int(np.argmin(total[: end + 1])), end
 
 
-def judge(evidence: Evidence) -> Verdict | None:
+def explain(evidence: Evidence) -> Verdict | None:
     """Return the fault that explains the evidence best; None where a sound IMU does."""
     whole = slice(None)
     square, cross = (part[0].sum(axis=0) for part in evidence[1:3])
@@ -281,8 +281,8 @@ def judge(evidence: Evidence) -> Verdict | None:
         m = _damped(evidence, fault.matrices, fault.variant, whole)
         errors = float(evidence.errors(m, fault.variant).sum())
         scored.append((left - errors - fault.cost, fault))
-    part = _judge_part(evidence, sound)
-    most = max(gain for gain, _ in scored)
+    part = _explain_part(evidence, sound)
+    most = max(pair[0] for pair in scored)
     if part is not None and part.gain > (1.0 + _PART_SHARE) * max(most, 0.0) + _PART:
         return part
     scored = [pair for pair in scored if _is_fault(evidence, pair[1], pair[0], (left, free))]
@@ -295,9 +295,9 @@ def judge(evidence: Evidence) -> Verdict | None:
     if not _is_seen(evidence, fault):
         unknown = fault._replace(values=(0.0,) * len(fault.values))
         return Verdict(unknown, None, gain, None)
-    near = gain - max(_RIVAL, _RIVAL_SHARE * gain)
-    rivals = [pair for pair in scored if pair[0] > near and _differ(pair[1], fault)]
-    return Verdict(fault, None, gain, max(rivals, key=lambda pair: pair[0])[1] if rivals else None)
+    near = gain - max(_OTHER, _OTHER_SHARE * gain)
+    others = [pair for pair in scored if pair[0] > near and _differ(pair[1], fault)]
+    return Verdict(fault, None, gain, max(others, key=lambda pair: pair[0])[1] if others else None)
 
 
 def _needed(fault: Fault) -> float:
@@ -340,10 +340,10 @@ def _differ(one: Fault, other: Fault) -> bool:
     return not (first <= second or second <= first)
 
 
-def _judge_part(evidence: Evidence, sound: Array) -> Verdict | None:
+def _explain_part(evidence: Evidence, sound: Array) -> Verdict | None:
     """Return the fault that explains one stretch of a log, if any."""
-    usual = float(np.quantile(sound, _USUAL))
-    bad = np.flatnonzero(sound > _BAD * max(usual, 1.0))
+    typical = float(np.quantile(sound, _TYPICAL))
+    bad = np.flatnonzero(sound > _BAD * max(typical, 1.0))
     if not len(bad):
         return None
     best: Verdict | None = None

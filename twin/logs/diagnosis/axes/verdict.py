@@ -20,7 +20,7 @@ from twin.logs.diagnosis.axes.faults import (
     GYROS,
     Fault,
     Verdict,
-    judge,
+    explain,
     unchecked,
 )
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
@@ -64,19 +64,19 @@ def check_axes(
     evidence = gather(recording, mounting, late)
     if evidence is None:
         return None
-    verdict = judge(evidence)
+    verdict = explain(evidence)
     if verdict is None:
         return []
-    fault, rival, numbers = verdict.fault, verdict.rival, {"gain": verdict.gain}
-    if rival is not None and fault.kind == "ahrs":
-        fault, rival = rival, fault
+    fault, other, numbers = verdict.fault, verdict.other, {"gain": verdict.gain}
+    if other is not None and fault.kind == "ahrs":
+        fault, other = other, fault
     names = _columns(recording, fault)
     if verdict.span is not None:
         return [_for_a_while(evidence, verdict, names)]
     code, what, remedy = _words(recording, fault)
-    if rival is not None:
-        other = _columns(recording, rival)
-        what = f"{names}: {what}; or {other}: {_words(recording, rival)[1]}"
+    if other is not None:
+        what += f"; or {_columns(recording, other)}: {_words(recording, other)[1]}"
+        what = f"{names}: {what}"
         remedy = f"the log cannot tell which: record waves from another side ({_AXES})"
         return [Finding(ERROR, code, what, remedy, numbers)]
     if fault.kind == "turned":
@@ -280,5 +280,5 @@ def _deviation(evidence: Evidence, fault: Fault) -> float:
     for sensor in fault.sensors:
         inside = slice(9 * sensor, 9 * sensor + 9)
         change[inside] = (turn @ fault.matrices[inside].reshape(3, 3)).ravel()
-    told = float(change @ evidence.square[fault.variant].sum(axis=0) @ change)
-    return 1.0 / math.sqrt(max(told, 1e-12))
+    known = float(change @ evidence.square[fault.variant].sum(axis=0) @ change)
+    return 1.0 / math.sqrt(max(known, 1e-12))
