@@ -289,9 +289,6 @@ def explain(evidence: Evidence) -> Verdict | None:
     if not scored:
         return None
     gain, fault = max(scored, key=lambda pair: pair[0])
-    least = _LEAST_TURN[len(fault.sensors) - 1] if fault.kind == "turned" else 0.0
-    if fault.kind == "turned" and abs(fault.values[0]) < least:
-        return None
     if not _is_seen(evidence, fault):
         unknown = fault._replace(values=(0.0,) * len(fault.values))
         return Verdict(unknown, None, gain, None)
@@ -315,6 +312,8 @@ def _is_fault(evidence: Evidence, fault: Fault, gain: float, errors: tuple[float
     after = left - gain
     if gain < _GAIN + _needed(fault) * after or after - free > _GAP * (left - free) + _GAIN:
         return False
+    if fault.kind == "turned":
+        return abs(fault.values[0]) >= _LEAST_TURN[len(fault.sensors) - 1]
     # no other fault makes so much noise
     return gain > _EVIDENT * after or _is_seen(evidence, fault)
 
