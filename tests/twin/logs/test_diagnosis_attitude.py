@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -268,3 +269,100 @@ def test_axes_units_and_mounting_are_named(fault: str, ahrs: bool) -> None:
         if not codes_of & found:
             missed.append((which, found))
     assert [entry for entry in missed if ahrs or entry[0] not in blind] == []
+
+
+def turned(degrees: float, *columns: int) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        x, y = z[:, columns[0]].copy(), z[:, columns[1]].copy()
+        z[:, columns[0]], z[:, columns[1]] = c * x - s * y, s * x + c * y
+
+    return change
+
+
+def during(first: int, last: int, change: Callable[[np.ndarray], None]) -> Callable[..., None]:
+    def partly(z: np.ndarray) -> None:
+        part = z[first:last].copy()
+        change(part)
+        z[first:last] = part
+
+    return partly
+
+
+SINGLE = {
+    # fault, the columns that must be named and no others, and a word of the finding
+    "accelerometers to port": (
+        turned(90.0, ACCEL_X, ACCEL_Y),
+        "accel_x_mps2, accel_y_mps2",
+        "by -(8|9)",
+    ),
+    "accelerometers halfway": (
+        turned(45.0, ACCEL_X, ACCEL_Y),
+        "accel_x_mps2, accel_y_mps2",
+        "by -4",
+    ),
+    "gyros to port": (turned(90.0, GYRO_X, GYRO_Y), "gyro_x_radps, gyro_y_radps", "by -(8|9)"),
+    "roll gyro in degrees": (scaled(180 / math.pi, GYRO_X), "gyro_x_radps", "degrees per second"),
+    "pitch gyro in degrees": (scaled(180 / math.pi, GYRO_Y), "gyro_y_radps", "degrees per second"),
+    "gyros in mrad/s": (
+        scaled(1000.0, GYRO_X, GYRO_Y, GYRO),
+        "gyro_x_radps, gyro_y_radps, gyro_radps",
+        "mrad/s",
+    ),
+    "accelerometers too large": (
+        scaled(1.1, ACCEL_X, ACCEL_Y, ACCEL_Z),
+        "accel_x_mps2, accel_y_mps2, accel_z_mps2",
+        "gravity is 1.",
+    ),
+    "roll gyro reversed for a while": (
+        during(1000, 2200, scaled(-1.0, GYRO_X)),
+        "gyro_x_radps",
+        "from about t =",
+    ),
+    "height up": (scaled(-1.0, GPS_Z), "gps_z_m", "points up"),
+    "height in feet": (scaled(1 / 0.3048, GPS_Z), "gps_z_m", "feet"),
+}
+
+
+@pytest.mark.parametrize("ahrs", [True, False], ids=["ahrs", "no ahrs"])
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+@pytest.mark.parametrize("fault", SINGLE)
+def test_one_cause_gives_one_finding_of_its_columns(fault: str, vessel: str, ahrs: bool) -> None:
+    change, columns, word = SINGLE[fault]
+    log = simulate(
+        "random",
+        vessel=Vessel.load(vessel),
+        sea=SeaState.named("3"),
+        duration=150,
+        seed=405,
+        dof=6,
+    )
+    z = without_ahrs(log.z, ahrs)
+    change(z)
+    findings = check_attitude(Recording(log.t, z, log.cmd, log.t))
+    assert [finding.what.split(":")[0] for finding in findings] == [columns]
+    assert re.search(word, findings[0].what)
+
+
+def test_a_fault_of_a_while_names_its_time_and_no_unit() -> None:
+    log = run("random", "otter", "3", 406)
+    z = log.z.copy()
+    during(600, 1200, scaled(2.0, GYRO_Y))(z)
+    (found,) = check_attitude(Recording(log.t, z, log.cmd, log.t))
+    assert found.code == "axis-faulty"
+    assert found.evidence["from_s"] == pytest.approx(30.0, abs=12.0)
+    assert found.evidence["to_s"] == pytest.approx(60.0, abs=12.0)
+    assert "scale" not in found.remedy
+    assert "deg" not in found.remedy
+
+
+def test_axes_that_hardly_move_are_said_to_be_unchecked() -> None:
+    log = run("heading90", "usv75", "1", 1)
+    unchecked = diagnose(
+        Recording(log.t, without_ahrs(log.z, False), log.cmd, log.t)
+    ).measured.unchecked
+    moving = run("random", "otter", "3", 406)
+    checked = diagnose(Recording(moving.t, moving.z, moving.cmd, moving.t)).measured.unchecked
+    assert unchecked is not None
+    assert "accel_x_mps2" in unchecked
+    assert checked == ()

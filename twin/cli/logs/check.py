@@ -142,6 +142,11 @@ def _print_measured(found: Diagnosis, boat: Particulars | None) -> None:
         "compass": ("compass_rad", "deg", 180.0 / math.pi),
         "gyro": ("gyro_radps", "deg/s", 180.0 / math.pi),
         "accelerometers": ("accel_mps2", "m/s2", 1.0),
+        "roll and pitch gyros": ("tilt_radps", "deg/s", 180.0 / math.pi),
+        "vertical accelerometer": ("lift_mps2", "m/s2", 1.0),
+        "AHRS": ("ahrs_rad", "deg", 180.0 / math.pi),
+        "height": ("height_m", "m", 1.0),
+        "vertical speed": ("climb_mps", "m/s", 1.0),
     }
     for sensor, rate in measured.rates.items():
         key, unit, scale = noise.get(sensor, ("", "", 1.0))
@@ -195,6 +200,10 @@ def _agreement(found: Diagnosis, boat: Particulars | None) -> list[str]:
             )
         elif effect is not None:
             lines.append(f"{called}: cannot tell its sign")
+    if measured.unchecked:
+        lines.append(f"axes of the IMU: cannot tell those of {', '.join(measured.unchecked)}")
+    elif measured.unchecked is not None:
+        lines.append("axes of the IMU: each moves enough to be checked")
     if boat is not None:
         lines.append(f"held against the particulars of {boat.name}")
     return lines

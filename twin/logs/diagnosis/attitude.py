@@ -11,14 +11,16 @@ import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END
 from twin.logs.columns import Array
+from twin.logs.diagnosis.axes.evidence import LATENCY
+from twin.logs.diagnosis.axes.height import check_height
+from twin.logs.diagnosis.axes.verdict import axes_unchecked, check_axes
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
-from twin.logs.diagnosis.kinematics import check_kinematics
-from twin.logs.diagnosis.signals import ENOUGH, averaged, integrated, sampled
+from twin.logs.diagnosis.signals import ENOUGH, sampled
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y
 from usv_kernel.scalar import rotation
 
-__all__ = ["check_attitude", "is_three_axis", "upright"]
+__all__ = ["check_attitude", "is_three_axis", "unchecked_axes", "upright"]
 
 _ASKEW = math.radians(6.0)
 """A boat may heel and trim by less in the mean; more is how the IMU is mounted."""
@@ -37,6 +39,9 @@ _AXIS = math.radians(50.0)
 
 _G_UNIT = 0.8, 1.25
 """Mean specific force in units of gravity is between these, times 1 for g."""
+
+_OFF = 0.05
+"""Gravity as sound accelerometers measure it differs by less, as a share."""
 
 _CLEAR = 0.6
 """From this correlation on two signals belong together."""
@@ -59,6 +64,9 @@ _BETTER = 0.02
 _TURNING = 0.05
 """Yaw rate of a boat that sails straight on, rad/s."""
 
+_ROUND = 2.0
+"""A compass shows over so many seconds how a boat turns."""
+
 _SMOOTH = 0.3
 """Changes are compared over so many seconds."""
 
@@ -71,6 +79,8 @@ _STILL = 0.003
 _SPAN, _TOO_LARGE = 1.0, 50.0
 """Changes of the vertical speed over such a time (s) that are so many times those of the integrated
 accelerometers are in cm/s, whatever the noise."""
+
+_ANGLES = "ahrs_roll_rad", "ahrs_pitch_rad"
 
 _FORCE = "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"
 
@@ -86,29 +96,65 @@ def check_attitude(recording: Recording, particulars: Particulars | None = None)
         State how the IMU is known to be mounted.
     """
     found = _dead_axes(recording)
-    mounting = (0.0, 0.0, 0.0) if particulars is None else particulars.instruments.imu_mounting
-    of_gravity = _check_gravity(recording, rotation(mounting))
-    if found:  # an axis that is dead also turns the mean
+    stated = (0.0, 0.0, 0.0) if particulars is None else particulars.instruments.imu_mounting
+    mounting = rotation(stated)
+    of_gravity = _check_gravity(recording, mounting)
+    dead = bool(found)
+    if not dead and not any(finding.severity == ERROR for finding in of_gravity):
+        of_gravity = _check_size(recording, mounting) + of_gravity
+    if dead:  # it also turns the mean
         of_gravity = [finding for finding in of_gravity if finding.code != "imu-askew"]
     found += of_gravity
-    for angle, gyro, other in (
-        ("ahrs_roll_rad", "gyro_x_radps", "gyro_y_radps"),
-        ("ahrs_pitch_rad", "gyro_y_radps", "gyro_x_radps"),
-    ):
-        found += _check_angle(recording, angle)
-        if not found:  # a wrong unit of the one is no fault of the other
-            found += _check_rate(recording, angle, gyro, other)
-    if not any(finding.severity == ERROR for finding in found):
-        level = all(_is_nearly_level(finding) for finding in found)
-        moved = check_kinematics(recording, particulars) if level else []
-        wrong = [finding for finding in moved if finding.severity == ERROR]
-        wrong = wrong or _check_signs(recording)
-        if wrong:  # it looks like a mounting
-            found = [finding for finding in found if finding.code != "imu-askew"]
-        # an AHRS measures the mounting better
-        askew = [] if found else _check_turned(recording, rotation(mounting)) or moved
-        found += wrong or askew
-    return found + _check_height(recording)
+    found += [finding for angle in _ANGLES for finding in _check_angle(recording, angle)]
+    if not any(finding.severity == ERROR for finding in found) and not dead:
+        for finding in found:
+            if finding.code != "imu-askew":
+                continue
+            turn = rotation((finding.evidence["roll_rad"], finding.evidence["pitch_rad"], 0.0))
+            mounting = turn @ mounting
+        late = LATENCY if particulars is None else particulars.instruments.gps_latency
+        wrong = check_axes(recording, mounting, late)
+        if wrong is None:
+            wrong = _check_rates(recording)
+        found = _together(found, wrong)
+    return found + check_height(recording)
+
+
+def unchecked_axes(
+    recording: Recording, particulars: Particulars | None = None
+) -> tuple[str, ...] | None:
+    """Return the columns of an IMU whose axis and sign a log does not tell; None for no such IMU.
+
+    Parameters
+    ----------
+    recording, particulars
+        As for :func:`check_attitude`.
+    """
+    stated = (0.0, 0.0, 0.0) if particulars is None else particulars.instruments.imu_mounting
+    late = LATENCY if particulars is None else particulars.instruments.gps_latency
+    return axes_unchecked(recording, rotation(stated), late)
+
+
+def _together(askew: list[Finding], wrong: list[Finding]) -> list[Finding]:
+    """Return findings of gravity and of the axes as one where they have one cause."""
+    scale = [finding for finding in askew if finding.code != "imu-askew"]
+    askew = [finding for finding in askew if finding.code == "imu-askew"]
+    if not askew or not wrong:
+        return scale + askew + wrong
+    if wrong[0].code != "imu-askew" or "pitch_rad" not in askew[0].evidence:
+        return scale + wrong  # it looks like a mounting
+    yaw = wrong[0].evidence["yaw_rad"]
+    evidence = {**askew[0].evidence, **wrong[0].evidence}
+    what = f"{askew[0].what}; {wrong[0].what}"
+    angles = f"[{evidence['roll_rad']:.3f}, {evidence['pitch_rad']:.3f}, {yaw:.3f}]"
+    remedy = f"if it is the IMU, state imu_mounting = {angles} in [instruments] of the particulars"
+    return [*scale, replace(askew[0], what=what, remedy=remedy, evidence=evidence)]
+
+
+def _check_rates(recording: Recording) -> list[Finding]:
+    """Return how gyros go with an AHRS where no velocity over ground helps."""
+    found = _check_rate(recording, _ANGLES[0], "gyro_x_radps", "gyro_y_radps")
+    return found + _check_rate(recording, _ANGLES[1], "gyro_y_radps", "gyro_x_radps")
 
 
 def upright(recording: Recording) -> Recording:
@@ -217,10 +263,22 @@ def _check_gravity(recording: Recording, mounting: Array) -> list[Finding]:
     return []
 
 
-def _is_nearly_level(finding: Finding) -> bool:
-    """Return whether a finding is of a mounting that hardly changes which axis shows what."""
-    roll, pitch = (finding.evidence.get(name, math.inf) for name in ("roll_rad", "pitch_rad"))
-    return finding.code == "imu-askew" and math.hypot(roll, pitch) < _ASKEW
+def _check_size(recording: Recording, mounting: Array) -> list[Finding]:
+    """Return whether gravity is larger or smaller than anywhere."""
+    t, force = recording.samples(*_FORCE)
+    if len(t) < 5 * ENOUGH:
+        return []
+    force = force @ mounting.T
+    force[:, 1] -= _way_round(recording, t)[0]
+    ratio = float(np.linalg.norm(force.mean(axis=0))) / GRAVITY
+    if abs(ratio - 1.0) < _OFF:
+        return []
+    what = f"{recording.called(*_FORCE)}: gravity is {ratio:.3g} times as large as it is"
+    remedy = (
+        f"the scale of the third axis, or of all: scale = {1.0 / ratio:.4g} in a mapping file for "
+        "those that share it"
+    )
+    return [Finding(WARNING, "accel-scale", what, remedy, {"ratio": ratio})]
 
 
 def _apart_from_ahrs(recording: Recording, t: Array, force: Array, around: Array) -> float | None:
@@ -256,10 +314,12 @@ def _way_round(recording: Recording, at: Array) -> tuple[Array, npt.NDArray[np.b
 
     Without velocities it is known to be small where the boat hardly turns.
     """
-    t_rate, rate = recording.samples("gyro_radps")
-    if len(t_rate) < ENOUGH:
+    t_psi, compass = recording.samples("compass_rad")
+    if len(t_psi) < ENOUGH:
         return np.zeros(len(at)), np.ones(len(at), dtype=np.bool_)
-    turning = sampled(t_rate, rate[:, 0], at)
+    psi = np.unwrap(compass[:, 0])  # a gyro may be wrong
+    half = 0.5 * _ROUND
+    turning = (sampled(t_psi, psi, at + half) - sampled(t_psi, psi, at - half)) / _ROUND
     t, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
     if len(t) < ENOUGH:
         return np.zeros(len(at)), np.abs(turning) < _TURNING
@@ -340,116 +400,3 @@ def _check_rate(recording: Recording, angle: str, gyro: str, other: str) -> list
         wanted = wrong.replace("_radps", "_degps").replace("_rad", "_deg")
         return [Finding(ERROR, "tilt-unit", what, f"name the column {wanted}", evidence)]
     return []
-
-
-def _apart_from(known: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return two signals without what goes with a known one."""
-    ok = np.isfinite(known) & np.isfinite(x) & np.isfinite(y)
-    base = np.column_stack([known[ok], np.ones(int(ok.sum()))])
-    both = np.column_stack([x[ok], y[ok]])
-    rest = both - base @ np.linalg.lstsq(base, both, rcond=None)[0]
-    return rest[:, 0], rest[:, 1]
-
-
-def _check_signs(recording: Recording) -> list[Finding]:
-    """Return whether gravity, apart from the boat's own accelerations, agrees with the AHRS."""
-    t, force = recording.samples(*_FORCE)
-    t_fix, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
-    t_psi, compass = recording.samples("compass_rad")
-    if min(len(t), len(t_fix), len(t_psi)) < 5 * ENOUGH:
-        return []
-    times, change = _change(t_fix, velocity)
-    psi = sampled(t_psi, np.unwrap(compass[:, 0]), times)
-    c, s = np.cos(psi), np.sin(psi)
-    own = change[:, 0] * c + change[:, 1] * s, change[:, 1] * c - change[:, 0] * s
-    found = []
-    for k, angle, side in ((0, "ahrs_roll_rad", 1), (1, "ahrs_pitch_rad", 0)):
-        t_angle, values = recording.samples(angle)
-        if len(t_angle) < 5 * ENOUGH:
-            continue
-        measured = _mean(t, force[:, side], times)
-        tilt = _mean(t_angle, values[:, 0], times) * (-1.0 if k == 0 else 1.0)
-        tilt, measured = _apart_from(own[side], tilt, measured)
-        fit = _fit(tilt, measured)
-        if fit.correlation > -_OPPOSED or float(tilt.std()) < _SLIGHT:
-            continue
-        gyro = ("gyro_x_radps", "gyro_y_radps")[k]
-        names = recording.called(angle, gyro)
-        what = f"{names}: against gravity in {recording.called(_FORCE[side])}"
-        remedy = (
-            "roll is above 0 with starboard down, pitch with the bow up; turn the sign of angle "
-            "and rate, or of the accelerometer"
-        )
-        found.append(Finding(ERROR, "tilt-sign", what, remedy, {"correlation": fit.correlation}))
-    return found[:1]
-
-
-def _check_turned(recording: Recording, mounting: Array) -> list[Finding]:
-    """Return whether the gyros are turned about the third axis, against the angles of the AHRS."""
-    t, angles = recording.samples("ahrs_roll_rad", "ahrs_pitch_rad")
-    t_rate, rates = recording.samples("gyro_x_radps", "gyro_y_radps", "gyro_radps")
-    if min(len(t), len(t_rate)) < 5 * ENOUGH:
-        return []
-    times, change = _change(t, angles)
-    rates = np.column_stack([_mean(t_rate, column, times) for column in (rates @ mounting.T).T[:2]])
-    both = np.column_stack([change, rates])
-    both = both[np.isfinite(both).all(axis=1)]
-    if len(both) < 5 * ENOUGH:
-        return []
-    roll, pitch, p, q = (both - both.mean(axis=0)).T
-    shown, measured = roll + 1j * pitch, p + 1j * q  # a turn of the axes is a factor
-    factor = complex(np.vdot(measured, shown))
-    size = float(np.linalg.norm(measured) * np.linalg.norm(shown))
-    yaw = math.atan2(factor.imag, factor.real)
-    same = 0.0 < size < math.inf and math.hypot(factor.real, factor.imag) >= _SAME * size
-    if not same or abs(yaw) < _ASKEW:
-        return []
-    names = recording.called("gyro_x_radps", "gyro_y_radps")
-    what = f"{names}: turned by {math.degrees(yaw):.0f} degrees about the third axis of the AHRS"
-    remedy = (
-        f"if it is how the IMU is mounted, state imu_mounting = [0.0, 0.0, {yaw:.3f}] in "
-        "[instruments] of the particulars, or add it to the third angle there"
-    )
-    return [Finding(WARNING, "imu-askew", what, remedy, {"yaw_rad": yaw})]
-
-
-def _check_height(recording: Recording) -> list[Finding]:
-    """Return whether height and vertical speed of the GNSS point the same way, and down."""
-    t, speed = recording.samples("gps_vz_mps")
-    t_force, force = recording.samples(*_FORCE)
-    if len(t) < 5 * ENOUGH or len(t_force) < 5 * ENOUGH or float(speed.std()) < 10.0 * _STILL:
-        return []
-    lift = np.linalg.norm(force, axis=1)
-    # an upright boat that is pushed down weighs less
-    times, change = _change(t, speed[:, 0])
-    found = _check_climb_unit(recording, (t, speed[:, 0]), (t_force, lift))
-    if found:
-        return found
-    fit = _fit(change, -_mean(t_force, lift - lift.mean(), times))
-    if fit.correlation > -_CLEAR:
-        return []
-    what = f"{recording.called('gps_vz_mps')}: against the accelerometers: it points up"
-    remedy = 'it is above 0 downwards; state frame = "enu" or scale = -1.0, also for gps_z_m'
-    return [Finding(ERROR, "climb-sign", what, remedy, {"correlation": fit.correlation})]
-
-
-def _check_climb_unit(
-    recording: Recording, climb: tuple[Array, Array], lift: tuple[Array, Array]
-) -> list[Finding]:
-    """Return whether a vertical speed changes far more than the accelerometers allow."""
-    t = climb[0]
-    at = np.arange(t[0] + _SPAN, t[-1] - _SPAN, 0.5 * _SPAN)
-    speed = averaged(*climb, at, _SMOOTH)
-    before = averaged(*climb, at - _SPAN, _SMOOTH)
-    gain = integrated(lift[0], lift[1] - lift[1].mean())
-    gained = sampled(lift[0], gain, at) - sampled(lift[0], gain, at - _SPAN)
-    ok = np.isfinite(speed) & np.isfinite(before) & np.isfinite(gained)
-    if ok.sum() < ENOUGH:
-        return []
-    ratio = float(np.std((speed - before)[ok])) / max(float(np.std(gained[ok])), 1e-9)
-    if ratio < _TOO_LARGE:
-        return []
-    name = recording.called("gps_vz_mps")
-    what = f"{name}: changes {ratio:.0f} times as much as the accelerometers show"
-    remedy = "it is in m/s; state scale = 0.01 in a mapping file if this is cm/s, 0.001 if mm/s"
-    return [Finding(ERROR, "climb-unit", what, remedy, {"ratio": ratio})]

@@ -11,7 +11,12 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import Array
-from twin.logs.diagnosis.attitude import check_attitude, is_three_axis, upright
+from twin.logs.diagnosis.attitude import (
+    check_attitude,
+    is_three_axis,
+    unchecked_axes,
+    upright,
+)
 from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
@@ -39,6 +44,15 @@ __all__ = [
 ]
 
 
+_TILT_NOISE = {
+    "tilt_radps": ("gyro_x_radps", "gyro_y_radps"),
+    "lift_mps2": ("accel_z_mps2",),
+    "ahrs_rad": ("ahrs_roll_rad", "ahrs_pitch_rad"),
+    "height_m": ("gps_z_m",),
+    "climb_mps": ("gps_vz_mps",),
+}
+
+
 @dataclass(frozen=True)
 class Measured:
     """What the sensors of a log are like, as far as it tells.
@@ -55,6 +69,8 @@ class Measured:
         What the commands do to the yaw rate.
     lags : dict of str to Lag
         Correlation of sensors at each lag.
+    unchecked : tuple of str, optional
+        Columns of a three-axis IMU whose axis and sign the log does not tell; None for no such IMU.
     """
 
     rates: dict[str, float]
@@ -66,6 +82,7 @@ class Measured:
     imu: ImuFit | None
     effects: dict[str, Effect]
     lags: dict[str, Lag]
+    unchecked: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +121,7 @@ class Diagnosis:
                 for name in fits
                 for fit in [getattr(measured, name)]
             },
+            "unchecked": None if measured.unchecked is None else list(measured.unchecked),
             "effects": {name: _plain(e._asdict()) for name, e in measured.effects.items()},
             "findings": [
                 {**dataclasses.asdict(finding), "evidence": _plain(dict(finding.evidence))}
@@ -146,6 +164,7 @@ def measure(recording: Recording) -> Measured:
         "compass_rad": _noise(t, psi[:, None]),
         "gyro_radps": _noise(t_gyro, gyro),
         "accel_mps2": _noise(*accel),
+        **{key: _noise(*recording.samples(*names)) for key, names in _TILT_NOISE.items()},
     }
     moved = imu_on_fixes(recording)
     turned = gyro_lag(t, psi, t_gyro, gyro[:, 0])
@@ -191,10 +210,13 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         tilt = check_attitude(clean, particulars)
         # roll and pitch that are sound are taken out of the other sensors
         level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
-        measured = measure(level)
-        found += check_position(recording) + check_heading(level) + tilt
+        measured = dataclasses.replace(measure(level), unchecked=unchecked_axes(clean, particulars))
+        heading = check_heading(level)
+        found += check_position(recording) + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
-        if level is clean and is_three_axis(clean):
+        if any("gain" in finding.evidence for finding in tilt):
+            moved = []  # faults of axes explain what they show
+        elif level is clean and is_three_axis(clean):
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
         found += moved
@@ -204,6 +226,14 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         first.setdefault(finding.code, finding)
     order = sorted(first.values(), key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(clean, measured, tuple(order))
+
+
+def _of_own_cause(heading: list[Finding], tilt: list[Finding]) -> list[Finding]:
+    """Return findings of the heading without those that faults of the IMU's axes explain."""
+    named = {finding.code for finding in tilt if "gain" in finding.evidence}
+    if not named & {"gyro-swapped", "tilt-unit", "tilt-scale"}:
+        return heading
+    return [finding for finding in heading if not finding.code.startswith("gyro-")]
 
 
 def _cells(recording: Recording) -> list[Finding]:

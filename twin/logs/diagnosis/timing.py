@@ -52,6 +52,15 @@ SENSORS = {
 }
 """Sensors and the columns that come together."""
 
+TILT_SENSORS = {
+    "roll and pitch gyros": ("gyro_x_radps", "gyro_y_radps"),
+    "vertical accelerometer": ("accel_z_mps2",),
+    "AHRS": ("ahrs_roll_rad", "ahrs_pitch_rad"),
+    "height": ("gps_z_m",),
+    "vertical speed": ("gps_vz_mps",),
+}
+"""Those of roll, pitch and heave, which few boats have."""
+
 
 def is_gap(t: Array) -> npt.NDArray[np.bool_]:
     """Return which steps of time are gaps, shape (N - 1,)."""
@@ -70,11 +79,18 @@ def longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def sensor_rates(recording: Recording) -> dict[str, float]:
-    """Return new samples a second of each sensor, from the median interval; 0 for none."""
+    """Return new samples a second of each sensor, from the median interval; 0 for none.
+
+    Sensors of roll, pitch and heave are left out where there are none.
+    """
     rates = {}
     for sensor, names in SENSORS.items():
         at = recording.samples(*names)[0]
         rates[sensor] = 1.0 / float(np.median(np.diff(at))) if len(at) > 1 else 0.0
+    for sensor, names in TILT_SENSORS.items():
+        at = recording.samples(*names)[0]
+        if len(at) > 1:
+            rates[sensor] = 1.0 / float(np.median(np.diff(at)))
     return rates
 
 
