@@ -48,6 +48,16 @@ def test_a_boat_that_circles_against_its_commands_is_named(vessel: str) -> None:
     assert not {"sides-swapped", "steering-sign"} & codes(log.cmd)
 
 
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heading_held_in_waves_does_not_look_like_swapped_sides(vessel: str, seed: int) -> None:
+    """The commands answer the waves: before, the remedy was to swap the columns."""
+    ship, sea = Vessel.load(vessel), SeaState.named(str(1 + seed))
+    log = simulate("heading45", vessel=ship, sea=sea, duration=120.0, seed=seed, dof=6)
+    found = diagnose(Recording(log.t, log.z, log.cmd, log.t)).findings
+    assert "sides-swapped" not in {finding.code for finding in found}
+
+
 def test_steering_that_the_particulars_do_not_know_is_named() -> None:
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 60.0, 0.1)

@@ -51,6 +51,11 @@ _CIRCLES, _ONE_WAY = 2.0, 0.8
 """So many full turns, this share of all turning, against a command: no wind turns a boat so."""
 
 
+_ANSWER, _ANSWERS, _PART = 0.5, 0.4, 0.15
+"""A command holds a heading where heading and rate of turn (over the first, s) explain this share
+of it, and each of them this part of its standard deviation."""
+
+
 class Effect(NamedTuple):
     """What a command does to the motion, by regression."""
 
@@ -286,7 +291,7 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
         )
     sign = -1.0 if wrong else 1.0
     yaw = yaw_effects(recording, sign)
-    return found + (_against(recording, yaw, sign) or _sides(recording, yaw))
+    return found + (_against(recording, yaw, sign) or _sides(recording, yaw, sign))
 
 
 def _against(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[Finding]:
@@ -312,33 +317,50 @@ def _against(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[
     return [Finding(ERROR, code, what, remedy, {"circles": circles})]
 
 
-def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
+def _holds_heading(recording: Recording, name: str, sign: float) -> bool:
+    """Return whether a command answers heading and rate of turn, against both."""
+    signal, turning = _steering(recording, sign)[2][name], _turning(recording)
+    if turning is None or not np.std(signal) > 0.0:
+        return False
+    t, psi = turning
+    grid = np.arange(t[0] + 1.0, t[-1] - 1.0, max(_ANSWER, 3.0 * float(np.median(np.diff(t)))))
+    if len(grid) < ENOUGH:
+        return False
+    half = 0.5 * _ANSWER
+    rate = (np.interp(grid + half, t, psi) - np.interp(grid - half, t, psi)) / _ANSWER
+    motion = np.column_stack([np.interp(grid, t, psi), rate, np.ones(len(grid))])
+    y = np.interp(grid, recording.t, signal)
+    fit = np.linalg.lstsq(motion, y, rcond=None)[0]
+    parts = fit[:2] * motion[:, :2].std(axis=0) / max(float(np.std(y)), 1e-300)
+    answers = np.var(y - motion @ fit) < (1.0 - _ANSWERS) * np.var(y)
+    return bool(answers and parts.max() < -_PART)
+
+
+def _sides(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[Finding]:
     """Return findings about swapped sides, a wrong sign of the angle, and a dead unit."""
     found = []
-    difference, steering = yaw.get("difference"), yaw.get("steering")
     shafts = recording.called("n_left_rps", "n_right_rps")
-    if difference is not None and difference.clear and difference.gain < 0.0:
-        found.append(
-            Finding(
-                ERROR,
-                "sides-swapped",
-                f"{shafts}: more thrust on the left turns the boat to port (explains "
-                f"{difference.share:.0%} of its turning): left and right are swapped",
-                "swap the two columns in a mapping file, or turn their sign if both run backwards",
-                difference._asdict(),
-            )
-        )
-    if steering is not None and steering.clear and steering.gain < 0.0:
-        found.append(
-            Finding(
-                ERROR,
-                "steering-sign",
-                f"{recording.called('delta_left_rad', 'delta_right_rad')}: a positive angle turns "
-                f"the boat to port (explains {steering.share:.0%} of its turning)",
-                "turn its sign: scale = -1.0 in a mapping file; above 0 turns to starboard",
-                steering._asdict(),
-            )
-        )
+    angles = recording.called("delta_left_rad", "delta_right_rad")
+    texts = {
+        "difference": (
+            "sides-swapped",
+            f"{shafts}: left and right are swapped: more thrust on the left turns the boat to port",
+            "swap the two columns in a mapping file, or turn their sign if both run backwards",
+        ),
+        "steering": (
+            "steering-sign",
+            f"{angles}: a positive angle turns the boat to port",
+            "turn its sign: scale = -1.0 in a mapping file; above 0 turns to starboard",
+        ),
+    }
+    for name, (code, what, remedy) in texts.items():
+        effect = yaw.get(name)
+        if effect is None:
+            continue
+        # in waves, a command that answers the motion seems to cause it
+        if effect.clear and effect.gain < 0.0 and not _holds_heading(recording, name, sign):
+            what += f", which explains {effect.share:.0%} of its turning"
+            found.append(Finding(ERROR, code, what, remedy, effect._asdict()))
     left, right = yaw.get("left"), yaw.get("right")
     if left is not None and right is not None:
         for dead, name, other in ((left, "left", right), (right, "right", left)):
