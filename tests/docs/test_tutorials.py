@@ -52,8 +52,13 @@ def environment(tmp_path_factory) -> dict[str, str]:
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m twin.cli "$@"\n')
     command.chmod(0o755)
     path = os.pathsep.join([str(folder), os.environ["PATH"]])
+    # modules that pages import from the working directory
+    modules = os.pathsep.join(
+        [str(DOCS.parent / "examples"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
     # torch on two threads of a busy machine is slower by far
-    return os.environ | {"PATH": path, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+    changed = {"PATH": path, "PYTHONPATH": modules, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+    return os.environ | changed
 
 
 @pytest.mark.slow
