@@ -145,16 +145,13 @@ class LOS:
         ``motion`` (n, 8): cross-track distance and distance to go (m), cosines and sines of course
         error and next turn. Yaw rate (rad/s) and forward speed (nominal speeds) follow.
         """
-        e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
+        e, to_go, _cos, _sin, _cos_turn, _sin_turn, r, u = motion.T
         # only at the end of the path: elsewhere the next leg has begun by then, and a curve has no
         # end
         near = (self.reach > 0.0) & (to_go < self.reach)
         left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
-        ahead = self.lookahead * self.length
-        # how far the point ahead lies on the next leg
-        beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
-        course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
-        ahead = ahead * left
+        course = self._course(motion, near)
+        ahead = self.lookahead * self.length * left
         aside = e + self._drift
         error = wrapped(course - np.arctan2(aside, ahead))
         step = self.integral * self.dt * self.speed * ahead / (ahead**2 + aside**2 + 1e-9)
@@ -170,6 +167,14 @@ class LOS:
         slow = wanted + 2.0 * (wanted - u / self.speed)
         shaft = self.shaft * np.where(near, slow, 1.0)
         return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
+
+    def _course(self, motion: Array, ending: NDArray[np.bool_]) -> Array:
+        """Return courses less headings (n,), rad; but for the last leg they go round early."""
+        _e, to_go, cos, sin, cos_turn, sin_turn, _r, _u = motion.T
+        # how far the point ahead lies on the next leg
+        ahead = self.lookahead * self.length
+        beyond = np.where(ending, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
+        return np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
 
 
 class Docking(LOS):
@@ -235,7 +240,7 @@ class Docking(LOS):
 
     def steer(self, motion: Array) -> Array:
         """See :meth:`LOS.steer`; a leg without a next turn is that of the berth."""
-        e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
+        e, to_go, _cos, _sin, cos_turn, sin_turn, r, u = motion.T
         L, last = self.length, (np.abs(sin_turn) < 1e-6) & (cos_turn > 0.0)
         left = np.where(last, to_go, to_go + self.slow * L)
         wide = np.abs(e) > self.aside * L + 0.5 * np.maximum(to_go, 0.0)
@@ -243,9 +248,7 @@ class Docking(LOS):
         self._backing = self._backing & last & (to_go < self.back_off * L)
         back = self._backing
         wanted = np.where(back, -0.3, np.clip(left / (self.slow * L), -0.3, self.fastest))
-        ahead = self.lookahead * L
-        beyond = np.where(last, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
-        course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
+        ahead, course = self.lookahead * L, self._course(motion, last)
         # astern the boat is turned the other way to come back to its leg
         offset = e + self._drift
         error = wrapped(course - np.where(back, -1.0, 1.0) * np.arctan2(offset, ahead))

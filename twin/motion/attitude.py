@@ -226,45 +226,38 @@ def _remember(t, memory):
 
 
 @inlined
-def _place_of(t, memory):
-    """Return the place in the ring of the newest row that is not later than a time."""
+def _rows_about(t, now, memory):
+    """Return the places in the ring of the rows before and after a time, and where it lies between.
+
+    The row of ``now`` is not in the ring yet: its place is -1.
+    """
     newest, kept = int(memory.rows) - 1, min(int(memory.rows), RING)
     back = 0
     while back < kept - 1 and memory.ring[(newest - back) % RING, 0] > t + 1e-6:
         back += 1
-    return (newest - back) % RING
+    place = (newest - back) % RING
+    later = (place + 1) % RING if back > 0 else -1
+    before, after = memory.ring[place, 0], memory.ring[later, 0] if back > 0 else now
+    share = (t - before) / (after - before) if after > before else 1.0
+    return place, later, min(max(share, 0.0), 1.0)
 
 
 @inlined
 def _when(t, now, memory):
-    """Return the row of the ring at or before a time, and the vertical speed at it.
-
-    The row of ``now`` is not in the ring yet.
-    """
-    place = _place_of(t, memory)
-    old, newest = memory.ring[place], int(memory.rows) - 1
-    after, speed = now, memory.vertical[CLIMB]
-    if place != newest % RING:
-        later = memory.ring[(place + 1) % RING]
-        after, speed = later[0], later[3]
-    share = (t - old[0]) / (after - old[0]) if after > old[0] else 1.0
-    return old, old[3] + min(max(share, 0.0), 1.0) * (speed - old[3])
+    """Return the row of the ring at or before a time, and the vertical speed at it."""
+    place, later, share = _rows_about(t, now, memory)
+    old = memory.ring[place]
+    speed = memory.vertical[CLIMB] if later < 0 else memory.ring[later, 3]
+    return old, old[3] + share * (speed - old[3])
 
 
 @inlined
 def _turned_since(t, now, k, memory):
-    """Return by how much roll (k = 0) or pitch has changed since a time.
-
-    The row of ``now`` is not in the ring yet.
-    """
-    place, newest = _place_of(t, memory), int(memory.rows) - 1
-    before, turned = memory.ring[place, 0], memory.turned_ring[place, k]
-    after, until = now, memory.turned[k]
-    if place != newest % RING:
-        later = (place + 1) % RING
-        after, until = memory.ring[later, 0], memory.turned_ring[later, k]
-    share = (t - before) / (after - before) if after > before else 1.0
-    return memory.turned[k] - turned - min(max(share, 0.0), 1.0) * (until - turned)
+    """Return by how much roll (k = 0) or pitch has changed since a time."""
+    place, later, share = _rows_about(t, now, memory)
+    turned = memory.turned_ring[place, k]
+    until = memory.turned[k] if later < 0 else memory.turned_ring[later, k]
+    return memory.turned[k] - turned - share * (until - turned)
 
 
 @inlined

@@ -193,11 +193,9 @@ class SensorSuite:
                 raise FaultError(
                     f"sensor {item.name} = {value!r}: must be a number from {low:g} to {high:g}"
                 )
-        for item in dataclasses.fields(self):
-            name = item.name
-            if name.endswith("_latency") and getattr(self, name) > LATENCY_MAX:
+            if item.name.endswith("_latency") and value > LATENCY_MAX:
                 raise FaultError(
-                    f"sensor {name} = {getattr(self, name):g} s: must be {LATENCY_MAX:g} s or less"
+                    f"sensor {item.name} = {value:g} s: must be {LATENCY_MAX:g} s or less"
                 )
 
     @classmethod
@@ -277,7 +275,7 @@ class SensorSuite:
 
     def wind_rows(self, dt: float) -> int:
         """Return the rows of the delay line of an anemometer; 0 where there is none."""
-        return round(self.wind_latency / dt) + 1 if self.has_anemometer else 0
+        return 1 + self.delay_steps(dt, "wind") if self.has_anemometer else 0
 
 
 GRADES = {
