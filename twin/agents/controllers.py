@@ -164,7 +164,7 @@ class LOS:
         part = np.where(near, part, 1.0)
         helm = back * self.gain * part * error - self.damping * self.length / self.speed * r
         wanted = 0.5 * back * part
-        slow = wanted + 2.0 * (wanted - u / self.speed)
+        slow = wanted + 2.0 * (wanted - u)
         shaft = self.shaft * np.where(near, slow, 1.0)
         return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
 
