@@ -357,7 +357,7 @@ def wrapped(angle: Array) -> Array:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-BASES = ("los", "los-twin", "los-oracle", "dock-twin", "dock-oracle")
+BASES = ("los", "los-twin", "mpc-twin", "los-oracle", "dock-twin", "dock-oracle")
 """Names of those that a trained agent may correct: quick, and they forget boat by boat."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {

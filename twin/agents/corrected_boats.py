@@ -8,7 +8,6 @@ Source: Johannink et al. 2019, Residual Reinforcement Learning for Robot Control
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from twin.agents.controllers import LOS
+from twin.agents.mpc import ModelPredictive
 from usv_gym.envs.sb3 import SB3VecEnv
 
 __all__ = ["ResidualVecEnv", "ScaledReward"]
@@ -31,7 +31,7 @@ class ResidualVecEnv(VecEnvWrapper):
     ----------
     venv : SB3VecEnv
         The boats; their observation has all that the controller needs.
-    base : LOS
+    base : LOS or ModelPredictive
         The controller. It forgets what it remembers of a boat where an episode ends.
     share : float
         What a correction of 1 adds to an action of the controller.
@@ -39,7 +39,7 @@ class ResidualVecEnv(VecEnvWrapper):
         The agent sees so many entries of the observation, the first ones.
     """
 
-    def __init__(self, venv: SB3VecEnv, base: LOS, share: float, seen: int) -> None:
+    def __init__(self, venv: SB3VecEnv, base: LOS | ModelPredictive, share: float, seen: int) -> None:
         self.base, self.share, self.seen = base, share, seen
         self.envs = venv.envs
         width = venv.action_space.shape[0]  # type: ignore[index]
@@ -64,13 +64,10 @@ class ResidualVecEnv(VecEnvWrapper):
         obs, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(obs, np.ndarray)
         if dones.any():
-            # the last observation of an episode, as the controller would have seen it
-            last, ended = obs.copy(), np.flatnonzero(dones)
-            for i in ended:
-                last[i] = infos[i]["terminal_observation"]
-            shown = _joined(last[:, : self.seen], copy.copy(self.base).act(last))
-            for i in ended:
-                infos[i]["terminal_observation"] = shown[i]
+            # behind the last observation of an episode stands the action that led to it
+            for i in np.flatnonzero(dones):
+                last = infos[i]["terminal_observation"][: self.seen]
+                infos[i]["terminal_observation"] = _joined(last, self._actions[i])
             self.base.forget(dones)
         return self._seen(obs), rewards, dones, infos
 
@@ -82,7 +79,7 @@ class ResidualVecEnv(VecEnvWrapper):
 
 def _joined(obs: NDArray[np.float32], actions: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return observations with actions behind them."""
-    return np.concatenate([obs, actions], axis=1, dtype=np.float32, casting="same_kind")
+    return np.concatenate([obs, actions], axis=-1, dtype=np.float32, casting="same_kind")
 
 
 class ScaledReward(VecEnvWrapper):

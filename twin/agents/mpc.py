@@ -293,6 +293,8 @@ class ModelPredictive:
 
     name = "mpc-twin"
     observation = "twin"
+    entries: tuple[str, ...] = ()
+    """It reads the twins themselves, and no entry of the observation."""
 
     def __init__(
         self,
@@ -354,8 +356,8 @@ class ModelPredictive:
         self._inputs = rollout_inputs
         self._paths = observer.notes["leg"], base.task.points
         self._bounds = np.empty((n, 3))
-        self._last = np.tile([nominal, 0.0], (n, 1))
-        self._plans = np.repeat(self._last, M, axis=1)
+        self._last, self._plans = np.empty((n, WIDTH)), np.empty((n, V))
+        self.forget(np.ones(n, dtype=np.bool_))
         R, p = 2 * K + 3 * M, len(rollout_inputs.prior)
         self._work = PlanWork(
             RolloutStart(np.empty((1, N_STATES)), np.empty((1, p)), np.empty(N_ACT), np.empty(2)),
@@ -374,6 +376,11 @@ class ModelPredictive:
             np.empty(V),
             np.empty((1, V)),
         )
+
+    def forget(self, boats: NDArray[np.bool_]) -> None:
+        """Forget the plans of some boats (n,), which begin an episode."""
+        first = self._config.shaft, 0.0
+        self._last[boats], self._plans[boats] = first, np.repeat(first, len(self.knots))
 
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`; it reads the twins themselves."""

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from twin.agents.controllers import BASES, LOS, make_controller
 from twin.agents.hyperparameters import CORRECTING
+from twin.agents.mpc import ModelPredictive
 
 __all__ = ["Residual", "make_base", "residual_of"]
 
@@ -24,9 +25,9 @@ def residual_of(algo: str, given: Mapping[str, Any], task: str) -> Residual | No
     return Residual(**{"base": base, **given}) if algo in CORRECTING else None
 
 
-def make_base(residual: Residual) -> LOS:
+def make_base(residual: Residual) -> LOS | ModelPredictive:
     """Return a new controller of those that may be corrected."""
     assert residual.base in BASES
     made = make_controller(residual.base)
-    assert isinstance(made, LOS)
+    assert isinstance(made, (LOS, ModelPredictive))
     return made
