@@ -40,7 +40,10 @@ def run(tmp_path, algo="ppo", name="run", hyper=(), **changes):
 
 
 def curve(found: Run):
-    return [{key: value for key, value in row.items() if key != "wall_s"} for row in found.curve]
+    return [
+        {key: value for key, value in row.items() if key not in ("wall_s", "cpu_s")}
+        for row in found.curve
+    ]
 
 
 def same(a: Policy, b: Policy) -> bool:
