@@ -16,7 +16,7 @@ from twin.agents.study.settings import STUDIES, Piece, Settings, Studied, name_o
 from twin.files import results_text
 from usv_kernel.files import write_whole
 
-__all__ = ["best_arm", "markdown", "rounded", "sentences", "write"]
+__all__ = ["best_arm", "digest", "markdown", "rounded", "sentences", "write"]
 
 FIGURES = 4
 """Significant figures of numbers in ``results.json``."""
@@ -75,6 +75,10 @@ def markdown(results: Mapping[str, Any]) -> str:
         f"Numbers are the {studied.title}, with 95 % intervals of a bootstrap over runs and "
         f"episodes. Trainings of each agent: {len(settings['seeds'])}. "
         "Time off the path after a failure counts as the distance that ends the episode.",
+        "",
+        "## Differences over all losses",
+        "",
+        *_summary(results),
     ]
     for name, condition in settings["conditions"].items():
         seas = ", ".join(condition["seas"])
@@ -90,6 +94,30 @@ def markdown(results: Mapping[str, Any]) -> str:
         ]  # fmt: skip
     lines += ["", "## Trainings", "", *_trainings(results, studied)]
     return "\n".join(lines) + "\n"
+
+
+def digest(results: Mapping[str, Any]) -> str:
+    """Return the tables of :func:`markdown` that say most: the documentation has these."""
+    settings = results["settings"]
+    studied = STUDIES[settings["task"]]
+    lines = ["### Differences over all losses", "", *_summary(results)]
+    for name, condition in settings["conditions"].items():
+        lines += ["", f"### {name}: {condition['text']}", "", *_estimates(results, studied, name)]
+    return "\n".join([*lines, "", "### Trainings", "", *_trainings(results, studied)]) + "\n"
+
+
+def _summary(results: Mapping[str, Any]) -> list[str]:
+    """Return the table of differences over all losses, a column for each condition."""
+    conditions = results["settings"]["conditions"]
+    found: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
+    for row in results["paired"]:
+        if row["faults"] == ALL:
+            found.setdefault((row["agent"], row["against"]), {})[row["condition"]] = row
+    rows = (
+        [agent, other, *(_difference(of[name]) for name in conditions)]
+        for (agent, other), of in found.items()
+    )
+    return _table(["agent", "other", *conditions], rows)
 
 
 def _table(heads: Sequence[str], rows: Iterator[list[str]]) -> list[str]:
