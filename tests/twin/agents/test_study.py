@@ -92,11 +92,11 @@ def test_boats_of_a_seed_are_drawn_together_for_all_losses():
     )
 
 
-def test_an_agent_has_the_same_numbers_beside_others():
+def test_numbers_of_an_agent_stay_the_same_with_others():
     rng = np.random.default_rng(4)
     one, other = rng.normal(size=(2, 2, 5, 20))
-    beside = replicates({"other": other, "one": one})
-    np.testing.assert_array_equal(replicates({"one": one})["one"], beside["one"])
+    both = replicates({"other": other, "one": one})
+    np.testing.assert_array_equal(replicates({"one": one})["one"], both["one"])
     # each has draws of its own of the runs
     assert not np.array_equal(*replicates({"one": one, "copy": one}).values())
 

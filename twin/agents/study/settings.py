@@ -183,7 +183,7 @@ def name_of(piece: Piece | tuple[str, str]) -> str:
 
 def arm_named(name: str) -> tuple[str, str]:
     """Return an arm by its name, such as ``ppo-residual-compact``: sets have no hyphen."""
-    algo, _, observation = name.rpartition("-")
+    algo, observation = name.rpartition("-")[::2]
     if not algo:
         raise AgentError(f"no arm is called {name!r}; write algorithm-observation, as ppo-compact")
     return algo, observation

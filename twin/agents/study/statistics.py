@@ -55,7 +55,7 @@ def replicates(
     have boat and path in common. Runs are drawn for each agent, from a generator of its own, so
     that no agent's numbers depend on which others there are.
     """
-    strata, _, episodes = next(iter(scores.values())).shape
+    strata, episodes = next(iter(scores.values())).shape[::2]
     chosen = np.random.default_rng(seed).integers(episodes, size=(REPLICATES, 1, 1, episodes))
     stratum = np.arange(strata)[:, None, None]
     found = {}
