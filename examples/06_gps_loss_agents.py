@@ -1,7 +1,7 @@
 """Three trained agents follow a path while the GPS is lost for 30 s.
 
-One sees the sensors, one the twin too, one the truth. They are the policies that ship with the
-study in ``gps_loss_study``; numpy alone reads them. Run ``python examples/06_gps_loss_agents.py
+One sees the sensors, one the twin, one the truth. They are policies that ship with the study in
+``agent_study``; numpy alone reads them. Run ``python examples/06_gps_loss_agents.py
 [picture.png]``.
 """
 
@@ -17,10 +17,14 @@ import numpy as np
 from twin.agents.evaluation import make_envs
 from twin.agents.policy import Policy
 
-POLICIES = Path(__file__).parent / "gps_loss_study" / "policies"
+POLICIES = Path(__file__).parent / "agent_study" / "path" / "policies"
 LOST, FOUND = 30.0, 60.0
-COLOURS = {"raw": "#c4342b", "twin": "#1f6fb5", "oracle": "#2c8a57"}
-SEEN = {"raw": "sees the sensors", "twin": "sees its twin too", "oracle": "sees the truth"}
+COLOURS = {"compact_raw": "#c4342b", "compact": "#1f6fb5", "compact_oracle": "#2c8a57"}
+SEEN = {
+    "compact_raw": "sees the sensors",
+    "compact": "sees its twin",
+    "compact_oracle": "sees the truth",
+}
 
 
 def sail(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

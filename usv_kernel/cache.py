@@ -30,15 +30,17 @@ KERNEL_MODULES: set[str] = set()
 """Imported modules that define kernels."""
 
 
-def sources_digest(root: Path = _ROOT) -> str:
-    """Return 20 hexadecimal digits that change with every source, vessel, prior or weight file."""
+def sources_digest(root: Path = _ROOT, without: tuple[str, ...] = ()) -> str:
+    """Return 20 hexadecimal digits that change with every source, vessel, prior or weight file.
+
+    But for those whose paths begin as one of ``without`` does.
+    """
     digest = hashlib.sha256()
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*")):
-            if path.suffix in _PROGRAM:
-                digest.update(
-                    path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes()
-                )
+            name = path.relative_to(root).as_posix()
+            if path.suffix in _PROGRAM and not name.startswith(without):
+                digest.update(name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:20]
 
 

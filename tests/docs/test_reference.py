@@ -12,7 +12,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
 from twin.health.state import SENSORS, STATUSES
 from twin.logs.columns import UNITS
 from twin.predictors.registry import PREDICTORS
-from twin.sim.compact import COMPACT, COMPACT_PARAMS
+from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW
 from twin.sim.wrapper import make_env
 from usv_gym.envs.tasks import TASKS
 
@@ -46,6 +46,19 @@ def test_compact_table_states_every_entry_and_scale():
     for one in COMPACT_PARAMS[len(COMPACT) :]:
         role = one.name.removeprefix("compact_xi_").removeprefix("compact_sd_")
         assert role in PAGE, role
+
+
+def test_compact_table_states_what_sensors_and_truth_have():
+    raw, true = r"(?:`(compact_raw_\w+)`|-)", r"(?:`(compact_true_\w+)`|-)"
+    pattern = rf"^\| `(\w+)` \| {raw} \| (.+) \| {true} \| (.+) \|$"
+    rows = re.findall(pattern, PAGE, flags=re.MULTILINE)
+    for place, entries in ((1, COMPACT_RAW), (3, COMPACT_ORACLE)):
+        stated = [(row[place], row[place + 1]) for row in rows if row[place]]
+        assert [name for name, _ in stated] == [one.name for one in entries]
+        for one, (_, source) in zip(entries, stated, strict=True):
+            assert source.startswith(f"`{one.source}`")
+            assert one.of_pair is None or f"`{one.of_pair.source}`" in source
+            assert one.name.endswith(f"_{next(r[0] for r in rows if r[place] == one.name)}")
 
 
 def test_health_table_names_every_entry_in_order():

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.twin.agents.drawn_policy import drawn_policy
 from tests.twin.logs.autopilot_logs import RUDDER, SKID, dataflash, telemetry
 from tests.twin.logs.foreign import EXAMPLE, FOREIGN, MAPPINGS, foreign, record, run
 from twin import Log, Particulars
@@ -86,6 +87,14 @@ def telemetry_log(folder: Path) -> bytes:
     return telemetry(run(60), RUDDER)
 
 
+def drawn(observation: str, **options: Any) -> Callable[[Path], bytes]:
+    def make(folder: Path) -> bytes:
+        drawn_policy(observation, **options).save(folder / "drawn.npz")
+        return (folder / "drawn.npz").read_bytes()
+
+    return make
+
+
 def own_prior(folder: Path) -> bytes:
     names = ("X_u", "N_r", "Y_v")
     table = {"boat": "test", "model": "mmg", "steering": "rudder", "length": 3.0, "speed": 2.0}
@@ -130,8 +139,8 @@ KINDS = [
     Kind("flight.tlog", telemetry_log, reads_log),
     Kind("plan.csv", written(run(60), "whole.csv"), lambda p: _read_plan(p, 10.0, 0.1)),
     Kind("sea.csv", lambda folder: SPECTRUM, Spectrum.read),
-    Kind("policy.npz", shipped("examples/gps_loss_study/policies/ppo-twin.npz"), acts),
-    Kind("lstm.npz", shipped("examples/gps_loss_study/policies/recurrent_ppo-raw.npz"), acts),
+    Kind("policy.npz", drawn("twin"), acts),
+    Kind("lstm.npz", drawn("raw", recurrent=True), acts),
     Kind("weights.npz", shipped(WEIGHTS), lambda p: Weights.read(p, "lstm")),
 ]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.twin.agents.drawn_policy import drawn_policy
 from usv_kernel.errors import MESSAGE_MAX, UsvTwinError
 from usv_kernel.files import (
     TOML_MAX,
@@ -96,7 +97,8 @@ for name, write in writers.items():
 def test_a_full_disk_is_an_error_and_nothing_is_left(tmp_path):
     pytest.importorskip("resource")
     root = Path(__file__).resolve().parents[2]
-    policy = root / "examples/gps_loss_study/policies/ppo-twin.npz"
+    policy = tmp_path / "policy.npz"
+    drawn_policy().save(policy)
     folder = tmp_path / "out"
     command = [sys.executable, "-c", FULL_DISK, str(folder), str(policy)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=300)

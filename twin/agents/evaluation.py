@@ -84,7 +84,8 @@ def evaluate(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Let an agent sail episodes, and return a row for each.
 
-    A twin sails with every agent, also with those that do not see it, and its forecasts are graded.
+    A twin sails with every agent, also with those that do not see it, and its forecasts are graded;
+    with ``forecast_scores=False`` it sails only with those that see it.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def evaluate(
         ``motion`` is the mean square of the roll over 10 degrees plus that of the deck's vertical
         acceleration over 2 m/s2. It is None where the reward has no such term.
 
-        ``twin_forecast`` has the scores of the twin's forecasts by name, see
+        ``twin_forecast`` has the scores of the twin's forecasts by name, or nothing; see
         :class:`twin.sim.forecast_scores.ForecastScores`.
     """
     seeds = [int(seed) for seed in seeds]
@@ -131,9 +132,8 @@ def evaluate(
         faults=faults,
         frame_skip=frame_skip,
         max_episode_steps=max_episode_steps,
-        forecast_scores=True,
         record=log_dir is not None,
-        **env,
+        **{"forecast_scores": True, **env},
     )
     graded: list[dict[str, float]] = [{} for _ in seeds]
     try:
@@ -155,7 +155,8 @@ def evaluate(
                 rolled[alive] = -infos["reward_terms"]["motion"][alive] / weight
             ends = alive & (terminated | truncated)
             for i in np.flatnonzero(ends):
-                graded[i] = dict(infos["twin_forecast"][i])
+                if "twin_forecast" in infos:
+                    graded[i] = dict(infos["twin_forecast"][i])
                 if log_dir is not None:
                     name = log_name(label or agent.name, sea, faults, seeds[i])
                     log_of(envs, log_dir / name, boat=int(i))

@@ -134,7 +134,7 @@ class Run:
 
     folder: Path
     policy: Policy
-    # decisions, wall_s, return, cross_track_m, off_path_m, success at each checkpoint
+    # decisions, wall_s, cpu_s, return, cross_track_m, off_path_m, success at each checkpoint
     curve: list[dict[str, float]]
 
     @classmethod
@@ -276,7 +276,7 @@ class _Learner:
             raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
         self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         self.curve: list[dict[str, float]] = []
-        self.wall, self.since = 0.0, time.perf_counter()
+        self.spent, self.since = np.zeros(2), _clocks()
         self.saved = 0
         """Number of transitions that were written."""
         self._resume()
@@ -316,7 +316,7 @@ class _Learner:
 
         left = self.plan.steps - self.model.num_timesteps
         if left > 0:
-            self.since = time.perf_counter()
+            self.since = _clocks()
             # learn() would reset new boats before they are seeded; the break resets them after
             self.model._last_obs = np.empty(0)
             self.model.learn(
@@ -347,11 +347,12 @@ class _Learner:
 
     def measure(self) -> None:
         """Add a point to the learning curve."""
-        now = time.perf_counter()
-        self.wall += now - self.since
+        self.spent += _clocks() - self.since
         policy = policy_of(self.model, self.envs, self.plan, {}, self.residual)
-        rows = evaluate(policy, seeds=self.curve_seeds, **self.plan.environment)
-        point = {"decisions": self.model.num_timesteps, "wall_s": round(self.wall, 3)}
+        options = self.plan.environment | {"forecast_scores": False}
+        rows = evaluate(policy, seeds=self.curve_seeds, **options)
+        wall, cpu = self.spent.round(3).tolist()
+        point = {"decisions": self.model.num_timesteps, "wall_s": wall, "cpu_s": cpu}
         for name in ("return", "cross_track_m", "off_path_m", "success"):
             point[name] = round(float(np.mean([row[name] for row in rows])), 6)
             self.model.logger.record(f"evaluation/{name}", point[name])
@@ -362,7 +363,7 @@ class _Learner:
         writer.writeheader()
         writer.writerows(self.curve)
         write_whole(self.folder / _CURVE, text.getvalue().encode())
-        self.since = time.perf_counter()
+        self.since = _clocks()
 
     def _save(self) -> None:
         """Write a checkpoint of arrays and numbers only, so that loading it runs no code."""
@@ -381,7 +382,7 @@ class _Learner:
         state = {
             "decisions": model.num_timesteps,
             "updates": model._n_updates,
-            "wall_s": self.wall,
+            "spent": self.spent.tolist(),
             "curve": self.curve,
             "parameters": model.get_parameters(),
             "normalize": {
@@ -409,7 +410,7 @@ class _Learner:
         model, envs = self.model, self.envs
         model.set_parameters(state["parameters"], device="cpu")
         model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
-        self.wall, self.curve = state["wall_s"], state["curve"]
+        self.spent, self.curve = np.array(state["spent"]), state["curve"]
         if "log_ent_coef" in state:
             model.log_ent_coef.data.copy_(state["log_ent_coef"])
         for name, rms in _averages(envs).items():
@@ -428,6 +429,11 @@ class _Learner:
                     getattr(buffer, name)[rows] = arrays[name].numpy()
                 self.saved = upto
             buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
+
+
+def _clocks() -> NDArray[np.float64]:
+    """Return wall clock and CPU time of this process with all its threads, s."""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def callback_named(name: str) -> Any:

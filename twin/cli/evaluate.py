@@ -10,13 +10,14 @@ import typer
 from rich.progress import TimeElapsedColumn
 from rich.table import Table
 
-from twin.agents import study
 from twin.agents.agent import Agent
+from twin.agents.controllers import CONTROLLERS, DOCKING
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
 from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError, Policy
 from twin.agents.recording.dataset import check_dataset, write_dataset
 from twin.agents.recording.video import check_video, record_video
+from twin.agents.study.statistics import REPLICATES, interval
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
     BackendOption,
@@ -166,9 +167,7 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
         return [(model, Policy.load(path))]
     if ":" in model:
         return [(model, import_named(model, AgentError, model)())]
-    from twin.agents.controllers import DOCKING  # compiled code, for names alone
-
-    known = study.controllers() | DOCKING
+    known = CONTROLLERS | DOCKING
     if model in known:
         return [(model, known[model]())]
     raise AgentError(
@@ -262,8 +261,8 @@ def _median(distances: list[float]) -> str:
     median = f"{np.median(distances):.2f}"
     if len(distances) < INTERVAL_MIN:
         return median
-    samples = np.random.default_rng(0).choice(distances, (study.REPLICATES, len(distances)))
-    low, high = study.interval(np.median(samples, axis=1))
+    samples = np.random.default_rng(0).choice(distances, (REPLICATES, len(distances)))
+    low, high = interval(np.median(samples, axis=1))
     return f"{median} [{low:.2f}, {high:.2f}]"
 
 

@@ -1,4 +1,4 @@
-"""``usv-twin study``: what an agent gains from the twin when the GPS is lost."""
+"""``usv-twin study``: agents on boats they never met, against classical control and each other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import TimeElapsedColumn
 
-from twin.agents import study, study_report
+from twin.agents.study import report, results, runs, settings
 from twin.cli.common import (
     CPUS,
     BackendOption,
@@ -24,13 +24,12 @@ from twin.cli.common import (
 )
 from twin.cli.train import KEPT
 from twin.parallel import check_backend
-from usv_gym.envs.tasks import TASKS
 
 
 def study_command(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the study.")] = Path(
-        "gps_loss_study"
-    ),
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder of the study. [agent_study/TASK]")
+    ] = None,
     steps: Annotated[
         int | None,
         typer.Option(
@@ -38,12 +37,14 @@ def study_command(
             help="Decisions of each training. Default: n_timesteps of the hyperparameters.",
         ),
     ] = None,
-    seeds: Annotated[str, typer.Option(help="Trainings of each arm.")] = "0-4",
+    seeds: Annotated[str, typer.Option(help="Trainings of each arm.")] = "0-7",
     twin: Annotated[str, typer.Option(help="Twin of the observation.")] = "ukf",
-    task: Annotated[str, typer.Option(help=f"One of: {', '.join(TASKS)}.")] = "path",
+    task: Annotated[str, typer.Option(help=f"One of: {', '.join(settings.STUDIES)}.")] = "path",
     arms: Annotated[
         str | None,
-        typer.Option(help="Comma-separated, as ppo-twin or recurrent_ppo-raw. [the study's nine]"),
+        typer.Option(
+            help="Comma-separated, as ppo-compact or ppo-residual-compact. [the study's nine]"
+        ),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Only check that everything runs, in minutes.")
@@ -51,40 +52,38 @@ def study_command(
     jobs: JobsOption = CPUS,
     backend: BackendOption = "loky",
 ) -> None:
-    """Measure what an agent gains from the twin when the GPS is lost.
+    """Compare trained agents with classical control, on boats that differ.
 
-    Trains PPO and SAC on the sensors, on stacked sensors, on the twin and on the truth, and
-    recurrent PPO on the sensors. Evaluates them and the classical controllers in three sea states
-    with losses of GPS of 0, 10, 30 and 60 s. Writes results.json, tables.md, pictures, and the
-    median policy of each arm. Ctrl-C keeps what is finished; the same command continues from there.
+    Agents see the sensors, the twin, with it what it identified, or the truth. They are trained on
+    boats that differ by 30 %, in any wind and current, and evaluated beside the controllers, with
+    losses of GPS of 0, 10, 30 and 60 s; two conditions are held out. Writes results.json,
+    tables.md, pictures, and the middle policy of each arm. Ctrl-C keeps what is finished; the same
+    command continues from there. Arms may be done in parts, into the same folder: the command with
+    all of them then takes what is there.
     """
-    settings = study.Settings(
-        steps=steps,
-        seeds=parse_seeds(seeds),
-        controllers=tuple(study.controllers()),
-        options={"twin": twin, "task": task},
-    )
+    asked = settings.Settings(steps=steps, seeds=parse_seeds(seeds), twin=twin, task=task)
     if quick:
-        settings = study.quick(settings)
+        asked = settings.quick(asked)
     if arms is not None:
-        pairs = [item.partition("-") for item in parse_list(arms, "--arms")]
-        settings = dataclasses.replace(settings, arms=tuple((one[0], one[2]) for one in pairs))
-    study.check(settings)
+        named = tuple(settings.arm_named(item) for item in parse_list(arms, "--arms"))
+        asked = dataclasses.replace(asked, arms=named)
+    settings.check(asked)
     check_backend(backend)
-    done: dict[study.Piece, dict[str, Any]] = {}
+    out = Path("agent_study") / task if out is None else out
+    done: dict[settings.Piece, dict[str, Any]] = {}
     try:
         with progress_bar(TimeElapsedColumn()) as progress:
-            bar = progress.add_task("study", total=len(study.pieces(settings)))
-            for piece, made in study.work(settings, out, jobs, backend):
+            bar = progress.add_task("study", total=len(settings.pieces(asked)))
+            for piece, made in runs.work(asked, out, jobs, backend):
                 done[piece] = made
                 progress.advance(bar)
     except KeyboardInterrupt:
         raise stopped(KEPT.format(out)) from None
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    results = study.collect(settings, done, command)
-    study_report.write(results, settings, done, out)
+    found = results.collect(asked, done, command)
+    report.write(found, asked, done, out)
     if quick:
         console.print("everything runs; results of so small a study mean nothing")
-    for line in () if quick else filter(None, study_report.verdicts(results)):
+    for line in () if quick else report.sentences(found):
         console.print(line, highlight=False, soft_wrap=True)
     console.print(f"{out / 'results.json'}, {out / 'tables.md'}, and pictures beside them")

@@ -382,7 +382,8 @@ def make_env(
           in 10 s; it needs ``dof=6``;
         - ``"compact"``: fourteen entries of the sensors and the twin, scaled to one size, for
           agents that learn quickly; ``"compact_params"`` adds eight identified coefficients and
-          their standard deviations;
+          their standard deviations. ``"compact_raw"`` and ``"compact_oracle"`` are the same of the
+          sensors alone and, for comparison, of the truth alone;
         - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
           rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
           sets.

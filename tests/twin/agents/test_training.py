@@ -40,7 +40,10 @@ def run(tmp_path, algo="ppo", name="run", hyper=(), **changes):
 
 
 def curve(found: Run):
-    return [{key: value for key, value in row.items() if key != "wall_s"} for row in found.curve]
+    return [
+        {key: value for key, value in row.items() if key not in ("wall_s", "cpu_s")}
+        for row in found.curve
+    ]
 
 
 def same(a: Policy, b: Policy) -> bool:
@@ -80,6 +83,8 @@ def test_a_run_that_crashed_goes_on_as_if_it_had_not(tmp_path, algo, monkeypatch
         Run.of(tmp_path / "stopped")
     stopped = run(tmp_path, algo, "stopped", hyper)
     assert curve(stopped) == curve(whole)
+    spent = [row["cpu_s"] for row in stopped.curve]
+    assert spent == sorted(spent) and spent[0] < spent[-1]  # over both parts
     assert same(stopped.policy, whole.policy)
     left = {path.name for path in (tmp_path / "stopped").iterdir()}
     assert left == {"run.json", "curve.csv", "policy.npz", "tensorboard"}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from twin.agents.controllers import make_controller
 from twin.agents.evaluation import make_envs
-from twin.sim.compact import COMPACT, COMPACT_PARAMS
+from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW, set_of
 from twin.sim.wrapper import make_env, make_vector_env
 from usv_kernel.errors import UsvTwinError
 
@@ -58,6 +58,53 @@ def test_compact_entries_are_scaled_entries_of_the_twin() -> None:
             scale = one.scale * full.speed / length if one.per_turn else one.scale
             expected = np.clip((entries[one.source] - one.offset) / scale, -5.0, 5.0)
         assert value == pytest.approx(expected, abs=1e-5), one.name
+
+
+@pytest.mark.parametrize(
+    ("small", "whole", "entries"),
+    [("compact_raw", "raw", COMPACT_RAW), ("compact_oracle", "oracle", COMPACT_ORACLE)],
+)
+@pytest.mark.parametrize("vessel", ["usv75", "otter"])
+def test_compact_sets_of_sensors_and_truth_have_the_scales_of_the_twin(
+    small, whole, entries, vessel
+) -> None:
+    options = {"vessel": vessel, "vessel_spread": 0.2}
+    one, full = (make_env(observation=name, **options) for name in (small, whole))
+    few, many = one.reset(seed=1)[0], full.reset(seed=1)[0]
+    assert not any(name.startswith("twin_") for name in full.observation_names)
+    for _ in range(60):
+        few, many = one.step([0.5, 0.2])[0], full.step([0.5, 0.2])[0]
+    seen = dict(zip(full.observation_names, many.astype(float), strict=True))
+    twins = {row.name.removeprefix("compact_"): row for row in COMPACT}
+    length = full.vessel.values["length_waterline"]
+    pair = full.vessel.kind == "thruster_pair"
+    assert one.observation_names == tuple(row.name for row in entries)
+    for entry, value in zip(entries, few, strict=True):
+        twin = twins[entry.name.split("_", 2)[2]]
+        assert (entry.offset, entry.scale, entry.near, entry.per_turn) == (
+            twin.offset, twin.scale, twin.near, twin.per_turn
+        )  # fmt: skip
+        row = entry.of_pair if pair and entry.of_pair else entry
+        if row.near:
+            left = 100.0 * seen[row.source] - 2.0 * length
+            expected = row.near * np.exp(-max(left, 0.0) / (4.0 / 3.0 * length))
+        else:
+            scale = row.scale * full.speed / length if row.per_turn else row.scale
+            expected = np.clip((seen[row.source] - row.offset) / scale, -5.0, 5.0)
+        assert value == pytest.approx(expected, abs=1e-5), entry.name
+
+
+def test_compact_entries_of_any_source_are_found_in_lists() -> None:
+    assert set_of(["compact_raw_surge", "to_go"]) == "raw"
+    assert set_of(["compact_true_surge", "compact_raw_surge"]) == "oracle"
+    assert set_of(["compact_surge", "compact_raw_surge"]) == "twin"
+    names = ["compact_raw_cross_track", "gps_age"]
+    listed, whole = make_env(observation=names), make_env(observation="compact_raw")
+    assert listed.observer.names == ()
+    first, all_of_it = listed.reset(seed=2)[0], whole.reset(seed=2)[0]
+    assert first[0] == all_of_it[whole.observation_names.index("compact_raw_cross_track")]
+    with pytest.raises(UsvTwinError, match="no set has all"):
+        set_of(["compact_surge", "compact_true_surge"])
 
 
 def test_near_is_full_within_two_lengths_of_the_end_of_a_leg() -> None:

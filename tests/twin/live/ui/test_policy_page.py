@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -10,13 +9,11 @@ from typing import Any
 
 import pytest
 
+from tests.twin.agents.drawn_policy import drawn_policy
 from tests.twin.cli.command import run
-from twin.agents.policy import Policy
 from twin.live.sessions.policy import PolicySession
 
 pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
-
-POLICIES = Path(__file__).resolve().parents[4] / "examples/gps_loss_study/policies"
 
 
 def test_an_agent_that_sails_has_a_page_with_losses_and_episodes(
@@ -24,7 +21,7 @@ def test_an_agent_that_sails_has_a_page_with_losses_and_episodes(
 ) -> None:
     from twin.live.ui.panel import PolicyControls
 
-    agent = Policy.load(POLICIES / "ppo-raw.npz")
+    agent = drawn_policy("raw")
     session = PolicySession(agent, tmp_path, seed=3, predictor="ukf")
     viewer = served(session)
     with urllib.request.urlopen(f"http://127.0.0.1:{viewer.port}/", timeout=20.0) as page:
@@ -38,7 +35,6 @@ def test_an_agent_that_sails_has_a_page_with_losses_and_episodes(
     ("words", "error"),
     [
         (("pilot",), "no such folder, policy or controller"),
-        ((str(POLICIES),), "agents; name one of them"),
         (("los", "--nmea", "udp://:10110"), "--nmea and --policy: look at one of them at a time"),
         (("los", "--task", "path"), "No such option"),
     ],
@@ -48,9 +44,17 @@ def test_view_of_a_policy_refuses_what_it_cannot_show(words, error, tmp_path) ->
     assert error in " ".join(output.split())
 
 
+def test_view_of_several_policies_asks_for_one(tmp_path) -> None:
+    folder = tmp_path / "policies"
+    for name in ("a.npz", "b.npz"):
+        drawn_policy("raw").save(folder / name)
+    output = run("view", "--policy", folder, "--out", tmp_path, check=2).output
+    assert "2 agents; name one of them" in " ".join(output.split())
+
+
 def test_view_of_a_policy_without_its_boat_names_the_entries(tmp_path) -> None:
     other = tmp_path / "other.npz"
-    policy = Policy.load(shutil.copy(POLICIES / "ppo-raw.npz", other))
+    policy = drawn_policy("raw")
     policy.names = (*policy.names[:-1], "speed_of_sound")
     policy.save(other)
     output = run("view", "--policy", other, "--out", tmp_path, check=2).output
