@@ -118,7 +118,7 @@ class TwinObserver(Observer):
         forecast_scores: bool = True, kind: int = 0,
     ) -> None:  # fmt: skip
         self.episodes, self.first, self.band_period = episodes, twin, band_period
-        self.kind = kind
+        self.kind, self._forecasting = kind, True
         # longer rows than those of the plans would be no test of them
         self._grading = forecast_scores and episodes.simulation.dt <= LONGEST_STEP
         more = grades_size(*self._model_size(twin)) if self._grading else 0
@@ -197,14 +197,18 @@ class TwinObserver(Observer):
             self.motions[i] = self._blank_motion
         self._forget(i)
 
+    def leave_out_forecasts(self) -> None:
+        """Make no forecasts from now on: nobody sees, grades or draws them."""
+        self._forecasting = False
+
     def leave(self, i: int) -> None:
         """Let boat i begin an episode as a boat of another kind: its rows are not taken."""
         self._notes[i, :1] = self.notes["shown"][i] = math.inf
 
     def overlay(self, i: int) -> TwinOverlay | None:
-        """Return the twin of boat i for pictures; None before its first row."""
+        """Return the twin of boat i for pictures; None before its first row or forecast."""
         note = self.notes[i]
-        if not math.isfinite(note["last"]):
+        if not math.isfinite(note["last"]) or not self._forecasting:
             return None
         return TwinOverlay(
             state=self._state(i),
@@ -313,6 +317,20 @@ class SeparateTwins(TwinObserver):
         )
         self._waiting[i].append(twin.predictor.forecaster(doubted))
 
+    def _note_forecast(self, i: int, t: float) -> None:
+        """Note what the twin of boat i forecasts at time t."""
+        note, twin = self.notes[i], self.twins[i]
+        self._plan[:] = self.episodes.simulation.cmd[i]
+        if t >= note["covs_due"]:
+            note["covs_due"] = t + self.band_period - 1e-9
+            prediction = twin.predictor.predict(self._plan, LONG_STEP)
+            note["ahead"][:] = prediction.mean[HORIZON_ROWS]
+            note["covs"][:] = prediction.cov[HORIZON_ROWS]
+            spread = prediction.cov[HORIZON_ROWS] - prediction.start_cov
+            note["spread"][:] = spread[:, [0, 0, 1], [0, 1, 1]]
+        else:
+            note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
+
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
         return copy.deepcopy(self.twins[i])
@@ -338,16 +356,8 @@ class SeparateTwins(TwinObserver):
             if not look or note["shown"] == note["last"]:
                 continue
             note["shown"] = note["last"]
-            self._plan[:] = sim.cmd[i]
-            if t >= note["covs_due"]:
-                note["covs_due"] = t + self.band_period - 1e-9
-                prediction = twin.predictor.predict(self._plan, LONG_STEP)
-                note["ahead"][:] = prediction.mean[HORIZON_ROWS]
-                note["covs"][:] = prediction.cov[HORIZON_ROWS]
-                spread = prediction.cov[HORIZON_ROWS] - prediction.start_cov
-                note["spread"][:] = spread[:, [0, 0, 1], [0, 1, 1]]
-            else:
-                note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
+            if self._forecasting:
+                self._note_forecast(i, t)
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
             own = obs[i, len(self.episodes.observation) :]
@@ -387,7 +397,7 @@ class CompiledTwins(TwinObserver):
         checks = health_settings(twin.particulars)
         shown = float(observation == "twin_attitude")
         grading = float(self._grading)
-        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown, grading], checks])
+        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown, grading, 1.0], checks])
         self._forecast = self._buffers()
         rolls = self.motions.shape[1] > 0
         self._motion_work = twin.motion.scratch if rolls else np.zeros(0)
@@ -421,6 +431,11 @@ class CompiledTwins(TwinObserver):
             return
         for memory, blank in zip(self.memory, self._blank, strict=True):
             memory[i] = blank
+
+    def leave_out_forecasts(self) -> None:
+        """See :meth:`TwinObserver.leave_out_forecasts`."""
+        super().leave_out_forecasts()
+        self._settings[5] = 0.0
 
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""

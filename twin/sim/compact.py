@@ -13,7 +13,7 @@ from twin.sim.twin_observation import ATTITUDE_OBSERVATION, TWIN_OBSERVATION
 from usv_gym.envs.selection import NEAR, Scaled
 from usv_kernel.errors import UsvTwinError
 
-__all__ = ["COMPACT", "COMPACT_PARAMS", "COMPACT_SETS", "SCALED", "set_of"]
+__all__ = ["COMPACT", "COMPACT_PARAMS", "COMPACT_SETS", "SCALED", "set_of", "shows_forecast"]
 
 _RIGHT = Scaled("compact_drive", "shaft_right", 0.7, 0.2)
 
@@ -91,6 +91,13 @@ def set_of(names: Sequence[str]) -> str:
             f"observation: no set has all of these entries; they are of {', '.join(sorted(needed))}"
         )
     return next(iter(needed), "raw")
+
+
+def shows_forecast(wanted: Sequence[str | Scaled]) -> bool:
+    """Return whether entries are made of a twin's forecasts of the motion on the water."""
+    names = (one.source if isinstance(one, Scaled) else one for one in wanted)
+    listed = ((name,) if isinstance(name, str) else name for name in names)
+    return any(name.startswith("ahead_") for each in listed for name in each)
 
 
 def _source(name: str) -> str:
