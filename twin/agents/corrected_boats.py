@@ -39,7 +39,9 @@ class ResidualVecEnv(VecEnvWrapper):
         The agent sees so many entries of the observation, the first ones.
     """
 
-    def __init__(self, venv: SB3VecEnv, base: LOS | ModelPredictive, share: float, seen: int) -> None:
+    def __init__(
+        self, venv: SB3VecEnv, base: LOS | ModelPredictive, share: float, seen: int
+    ) -> None:
         self.base, self.share, self.seen = base, share, seen
         self.envs = venv.envs
         width = venv.action_space.shape[0]  # type: ignore[index]

@@ -245,7 +245,9 @@ class _Learner:
         weights |= plan.reward_weights
         self.residual = residual_of(plan.algo, options.pop("residual", {}), plan.task)
         self.n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
-        env = plan.environment | {"reward_weights": weights or None, "num_threads": num_threads}
+        # without scores, forecasts that nobody reads are not made
+        env: dict[str, Any] = {"forecast_scores": False, **plan.environment}
+        env |= {"reward_weights": weights or None, "num_threads": num_threads}
         made = make_envs(self.n, observation=self._observation(), autoreset_mode="SameStep", **env)
         if "policy_kwargs" in options:
             options["policy_kwargs"] = torch_options(options["policy_kwargs"])

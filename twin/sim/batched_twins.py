@@ -118,13 +118,12 @@ class TwinObserver(Observer):
         forecast_scores: bool = True, kind: int = 0,
     ) -> None:  # fmt: skip
         self.episodes, self.first, self.band_period = episodes, twin, band_period
-        self.kind = kind
+        self.kind, self._forecasting = kind, True
         # longer rows than those of the plans would be no test of them
         self._grading = forecast_scores and episodes.simulation.dt <= LONGEST_STEP
         more = grades_size(*self._model_size(twin)) if self._grading else 0
         self._notes = np.zeros((episodes.n, record_size(NOTE) + more))
-        self.notes = structured(self._notes, NOTE)
-        self._fresh = np.zeros((1, self._notes.shape[1]))
+        self.notes, self._fresh = structured(self._notes, NOTE), np.zeros_like(self._notes[:1])
         fresh = structured(self._fresh, NOTE)
         for name in ("last", "begun", "shown"):
             fresh[name] = math.nan
@@ -197,14 +196,18 @@ class TwinObserver(Observer):
             self.motions[i] = self._blank_motion
         self._forget(i)
 
+    def leave_out_forecasts(self) -> None:
+        """Make no forecasts from now on: nobody sees, grades or draws them."""
+        self._forecasting = False
+
     def leave(self, i: int) -> None:
         """Let boat i begin an episode as a boat of another kind: its rows are not taken."""
         self._notes[i, :1] = self.notes["shown"][i] = math.inf
 
     def overlay(self, i: int) -> TwinOverlay | None:
-        """Return the twin of boat i for pictures; None before its first row."""
+        """Return the twin of boat i for pictures; None before its first row or forecast."""
         note = self.notes[i]
-        if not math.isfinite(note["last"]):
+        if not math.isfinite(note["last"]) or not self._forecasting:
             return None
         return TwinOverlay(
             state=self._state(i),
@@ -224,8 +227,11 @@ class TwinObserver(Observer):
         Without ``look``, the row is taken in and no more. ``rows`` are the boats to look at.
         """
         self._observe(obs, look, rows)
-        if not look:
-            return
+        if look:
+            self.finish(obs, rows)
+
+    def finish(self, obs: NDArray[np.float32], rows: slice = _ALL) -> None:
+        """See :class:`Observer`."""
         if self._count() != self._graded:
             self._take_scores()
         at = len(self.episodes.observation) + len(TWIN_OBSERVATION)
@@ -313,6 +319,20 @@ class SeparateTwins(TwinObserver):
         )
         self._waiting[i].append(twin.predictor.forecaster(doubted))
 
+    def _note_forecast(self, i: int, t: float) -> None:
+        """Note what the twin of boat i forecasts at time t."""
+        note, twin = self.notes[i], self.twins[i]
+        self._plan[:] = self.episodes.simulation.cmd[i]
+        if t >= note["covs_due"]:
+            note["covs_due"] = t + self.band_period - 1e-9
+            prediction = twin.predictor.predict(self._plan, LONG_STEP)
+            note["ahead"][:] = prediction.mean[HORIZON_ROWS]
+            note["covs"][:] = prediction.cov[HORIZON_ROWS]
+            spread = prediction.cov[HORIZON_ROWS] - prediction.start_cov
+            note["spread"][:] = spread[:, [0, 0, 1], [0, 1, 1]]
+        else:
+            note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
+
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
         return copy.deepcopy(self.twins[i])
@@ -338,16 +358,8 @@ class SeparateTwins(TwinObserver):
             if not look or note["shown"] == note["last"]:
                 continue
             note["shown"] = note["last"]
-            self._plan[:] = sim.cmd[i]
-            if t >= note["covs_due"]:
-                note["covs_due"] = t + self.band_period - 1e-9
-                prediction = twin.predictor.predict(self._plan, LONG_STEP)
-                note["ahead"][:] = prediction.mean[HORIZON_ROWS]
-                note["covs"][:] = prediction.cov[HORIZON_ROWS]
-                spread = prediction.cov[HORIZON_ROWS] - prediction.start_cov
-                note["spread"][:] = spread[:, [0, 0, 1], [0, 1, 1]]
-            else:
-                note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
+            if self._forecasting:
+                self._note_forecast(i, t)
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
             own = obs[i, len(self.episodes.observation) :]
@@ -386,13 +398,15 @@ class CompiledTwins(TwinObserver):
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
         checks = health_settings(twin.particulars)
         shown = float(observation == "twin_attitude")
-        grading = float(self._grading)
-        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown, grading], checks])
+        given = band_period, gps_var, 1.0, shown, float(self._grading), 1.0
+        self._settings = np.concatenate([given, checks])
         self._forecast = self._buffers()
         rolls = self.motions.shape[1] > 0
         self._motion_work = twin.motion.scratch if rolls else np.zeros(0)
-        # a thread needs scratch of its own
+        # threads need their own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
+        self._looks = [self._settings, *(each[0][4] for each in self._all)]
+        self.by_block = not self._single
 
     @property
     def boats(self) -> dict[str, Any]:
@@ -422,6 +436,12 @@ class CompiledTwins(TwinObserver):
         for memory, blank in zip(self.memory, self._blank, strict=True):
             memory[i] = blank
 
+    def leave_out_forecasts(self) -> None:
+        """See :meth:`TwinObserver.leave_out_forecasts`."""
+        super().leave_out_forecasts()
+        for settings in self._looks:
+            settings[5] = 0.0
+
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
         twin = copy.deepcopy(self.first)
@@ -443,7 +463,8 @@ class CompiledTwins(TwinObserver):
         return state["x"][:, N_STATES:], np.sqrt(variances[:, N_STATES:])
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
-        self._settings[2] = look
+        for settings in self._looks:
+            settings[2] = look
         if rows != _ALL:
             self._call(*self._arguments(rows), obs[rows])
         elif len(self._all) == 1:
@@ -458,6 +479,11 @@ class CompiledTwins(TwinObserver):
             twin.cmd = self._cmd
             twin.health_history.take(twin.t, twin.begun)
 
+    def observe_block(self, j: int, obs: NDArray[np.float32], look: bool) -> None:
+        """See :class:`Observer`."""
+        self._looks[1 + j][2] = look
+        self._call(*self._all[j], obs)
+
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor
         boats = Boats(
@@ -465,7 +491,7 @@ class CompiledTwins(TwinObserver):
             task.points[rows],
             self._notes[rows],
             self.episodes.shared[self.kind],
-            self._settings,
+            self._settings.copy() if own else self._settings,
             self.motions[rows],
             self.first.motion.settings,
             self._motion_work.copy() if own else self._motion_work,

@@ -22,6 +22,7 @@ __all__ = [
     "COMPACT_SETS",
     "SCALED",
     "set_of",
+    "shows_forecast",
 ]
 
 _TWIN, _RAW, _TRUE = "compact_", "compact_raw_", "compact_true_"
@@ -146,6 +147,13 @@ def set_of(names: Sequence[str]) -> str:
             f"observation: no set has all of these entries; they are of {', '.join(sorted(needed))}"
         )
     return next(iter(needed), "raw")
+
+
+def shows_forecast(wanted: Sequence[str | Scaled]) -> bool:
+    """Return whether entries are made of a twin's forecasts of the motion on the water."""
+    names = (one.source if isinstance(one, Scaled) else one for one in wanted)
+    listed = ((name,) if isinstance(name, str) else name for name in names)
+    return any(name.startswith("ahead_") for each in listed for name in each)
 
 
 def _source(name: str) -> str:

@@ -62,6 +62,11 @@ class MixedTwins(Observer):
         """See :meth:`twin.sim.batched_twins.TwinObserver.overlay`."""
         return self._of(i).overlay(i)
 
+    def leave_out_forecasts(self) -> None:
+        """See :meth:`twin.sim.batched_twins.TwinObserver.leave_out_forecasts`."""
+        for one in self.kinds:
+            one.leave_out_forecasts()
+
     def reset(self, i: int) -> None:
         """See :class:`Observer`."""
         for one in self.kinds:

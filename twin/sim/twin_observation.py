@@ -171,6 +171,7 @@ SETTINGS = np.dtype(
         ("look", "f8"),  # 1 where observations are to be written
         ("show_motion", "f8"),  # 1 where they hold roll, pitch and heave
         ("grading", "f8"),  # 1 where forecasts are graded
+        ("forecasting", "f8"),  # 1 where forecasts are made: they are shown, graded or drawn
         ("health", HEALTH_SETTINGS),  # what the sensor checks are given
     ]
 )
@@ -360,10 +361,8 @@ def describe_motion(s, note, memory, given, work, obs):
 def _show_motion(i, s, note, boats, first, obs):
     """Write the entries of roll, pitch and heave of a boat, if they are wanted."""
     if as_record(boats.settings, SETTINGS).show_motion > 0.0:
-        memory, work = (
-            as_record(boats.motions[i], MOTION),
-            as_record(boats.motion_work, MOTION_WORK),
-        )
+        memory = as_record(boats.motions[i], MOTION)
+        work = as_record(boats.motion_work, MOTION_WORK)
         given = as_record(boats.motion_settings, MOTION_SETTINGS)
         describe_motion(s, note, memory, given, work, obs[first + len(TWIN_OBSERVATION) :])
 
@@ -442,15 +441,9 @@ def _row_of(memory, i):
 @inlined
 def _plus_row_of(memory, i):
     """Return what boat i remembers."""
-    return PlusMemory(
-        memory.nav[i],
-        memory.filter[i],
-        memory.rows[i],
-        memory.window[i],
-        memory.selector[i],
-        memory.segments[i],
-        memory.joint[i],
-    )
+    nav, kept, window = memory.nav[i], memory.rows[i], memory.window[i]
+    selector, segments, joint = memory.selector[i], memory.segments[i], memory.joint[i]
+    return PlusMemory(nav, memory.filter[i], kept, window, selector, segments, joint)
 
 
 @inlined
@@ -509,30 +502,31 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
                 grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, (0, 0.0), again)
         if not _is_due(note, settings.look):
             continue
-        _hold(note.trusted[:], forecast.plan)
-        steps = forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        due = note.last >= note.covs_due
-        if due:
-            note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(LONG_STEP, steps, state, given, out, scratch)
-            for row in range(ROWS):
-                for j in range(N_STATES):
-                    for k in range(N_STATES):
-                        out.covs[row, j, k] += nav.P[j, k]
-                for j in range(2):
-                    out.covs[row, j, j] += settings.gps_var
-            limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
-        place = note.now[X, X], state.P[X, Y] + nav.P[X, Y], note.now[Y, Y]
-        for h in range(HORIZON_ROWS.shape[0]):
-            row = HORIZON_ROWS[h]
+        if settings.forecasting > 0.0:
+            _hold(note.trusted[:], forecast.plan)
+            steps = forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
+            due = note.last >= note.covs_due
             if due:
-                _write_spread(out.covs[row], place, note.spread[h])
-            for j in range(N_STATES):
-                note.ahead[h, j] = out.states[0, row, j]
+                note.covs_due = note.last + settings.period - 1e-9
+                forecast_covariance(LONG_STEP, steps, state, given, out, scratch)
+                for row in range(ROWS):
+                    for j in range(N_STATES):
+                        for k in range(N_STATES):
+                            out.covs[row, j, k] += nav.P[j, k]
+                    for j in range(2):
+                        out.covs[row, j, j] += settings.gps_var
+                limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
+            place = note.now[X, X], state.P[X, Y] + nav.P[X, Y], note.now[Y, Y]
+            for h in range(HORIZON_ROWS.shape[0]):
+                row = HORIZON_ROWS[h]
                 if due:
-                    for k in range(N_STATES):
-                        note.covs[h, j, k] = out.covs[row, j, k]
+                    _write_spread(out.covs[row], place, note.spread[h])
+                for j in range(N_STATES):
+                    note.ahead[h, j] = out.states[0, row, j]
+                    if due:
+                        for k in range(N_STATES):
+                            note.covs[h, j, k] = out.covs[row, j, k]
         describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
         if settings.grading > 0.0 and nav.begun > 0.0:
             none = shaped(state.x, 0, (1, 0, 3))
@@ -576,23 +570,24 @@ def observe_plus(boats, memories, config, work, forecast, obs):
                 grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, waves, again)
         if not _is_due(note, settings.look):
             continue
-        _hold(note.trusted[:], forecast.plan)
-        plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        for h in range(HORIZON_ROWS.shape[0]):
-            for j in range(N_STATES):
-                note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
-        if note.last >= note.covs_due:
-            note.covs_due = note.last + settings.period - 1e-9
-            plus_draws((mean, mean), LONG_STEP, memory, config, forecast.normal, draws)
-            covs = note.covs[:]
-            mean_products(draws.deviations, _DRAWN_ROWS, covs)
+        if settings.forecasting > 0.0:
+            _hold(note.trusted[:], forecast.plan)
+            plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
             for h in range(HORIZON_ROWS.shape[0]):
-                _write_spread(covs[h], (0.0, 0.0, 0.0), note.spread[h])
-                for j in range(2):
-                    for k in range(2):
-                        covs[h, j, k] += nav.P[j, k]
-                    covs[h, j, j] += settings.gps_var
+                for j in range(N_STATES):
+                    note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
+            if note.last >= note.covs_due:
+                note.covs_due = note.last + settings.period - 1e-9
+                plus_draws((mean, mean), LONG_STEP, memory, config, forecast.normal, draws)
+                covs = note.covs[:]
+                mean_products(draws.deviations, _DRAWN_ROWS, covs)
+                for h in range(HORIZON_ROWS.shape[0]):
+                    _write_spread(covs[h], (0.0, 0.0, 0.0), note.spread[h])
+                    for j in range(2):
+                        for k in range(2):
+                            covs[h, j, k] += nav.P[j, k]
+                        covs[h, j, j] += settings.gps_var
         describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
         if settings.grading > 0.0 and nav.begun > 0.0:
             start = mean.start[0], mean.means, mean.ends

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.design.seaway import warning_of
 from usv_gym.envs.config import EnvConfig
+from usv_gym.envs.observer import Observer, StepCallback
 from usv_gym.envs.scoring import (
     COURSE_ERROR,
     CROSS_TRACK,
@@ -139,17 +139,6 @@ EPISODES = np.dtype(
     ]
 )
 """What all episodes of boats of one kind share, and never changes."""
-
-_ALL = slice(None)
-
-
-class Selection(Protocol):
-    """What of an observation is shown; see :mod:`usv_gym.envs.selection`."""
-
-    names: tuple[str, ...]
-
-    def pick(self, full: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what is shown (n, d) of the observations (n, D) of all boats."""
 
 
 class CapsizeWarning(UserWarning):
@@ -297,50 +286,6 @@ def _observe(
     """Write the observation of one boat, from flat memory."""
     boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
     observe(boat, memory, points, as_record(shared[int(memory.kind)], EPISODES), obs)
-
-
-class StepCallback(Protocol):
-    """What takes in every step of the episodes."""
-
-    def observe(self, obs: NDArray[np.float32], look: bool = True) -> None:
-        """Take in a step; ``look`` is False for the steps of a decision but the last."""
-
-
-class Observer(ABC):
-    """Adds entries to the observations of n boats, behind those of the sensors.
-
-    Attributes
-    ----------
-    names : tuple of str
-        What it adds.
-    selection : Selection or None
-        What of all entries is shown; None for all.
-    """
-
-    names: tuple[str, ...]
-    selection: Selection | None = None
-
-    @abstractmethod
-    def reset(self, i: int) -> None:
-        """Let boat i begin an episode."""
-
-    @abstractmethod
-    def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
-        """Take in a step of the boats that are not idle, and write their entries.
-
-        Parameters
-        ----------
-        obs : ndarray, shape (n, D)
-            Observations of all boats; the first entries are those of the sensors.
-        look : bool
-            Write at all: False for the steps of a decision but the last.
-        rows : slice
-            The boats to look at.
-        """
-
-    def infos(self) -> dict[str, np.ndarray]:
-        """Return what infos gain, arrays (n,)."""
-        return {}
 
 
 class Kind(NamedTuple):
@@ -525,6 +470,9 @@ class Episodes:
         bool
             False, with nothing done, if an action is no number.
         """
+        watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
+        if len(self.blocks) > 1 and not self._own and len(watching) == len(callbacks):
+            return self._step_blocks(obs, watching)
         for left in self._countdown:
             before, active = self._before_step() if self._own else (None, None)
             if not self._step(obs, left):
@@ -582,6 +530,28 @@ class Episodes:
                 raise self.simulation.runaway()
 
         self.each(step_block)
+        return True
+
+    def _step_blocks(self, obs: np.ndarray, watching: Sequence[Observer]) -> bool:
+        """Do :meth:`step` block by block: threads wait for each other once a decision."""
+        active = self.records["idle_steps"] == 0.0
+        if not np.isfinite(self.actions[1, active]).all():
+            return False
+
+        def sail(j: int) -> None:
+            block = self.blocks[j]
+            for left in self._countdown:
+                if out_of_numbers(self.simulation.rows[block]):
+                    self.simulation.draw_numbers(block)
+                arguments = (*self._arguments[j], obs[block], left)
+                if _step(*arguments) == RAN_AWAY:
+                    raise self.simulation.runaway()
+                for one in watching:
+                    one.observe_block(j, obs[block], left == 0)
+
+        self.each(sail)
+        for one in watching:
+            one.finish(obs)
         return True
 
     def each(self, call: Callable[[int], Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +104,13 @@ class HydroTable:
 
     def __hash__(self) -> int:
         return hash((self.length, self.density, self.source))
+
+    @cached_property
+    def drift_around(self) -> Array | None:
+        """Drift (F, K, 3) on a full circle of headings."""
+        if self.drift is None:
+            return None
+        return np.ascontiguousarray(self.around(self.drift), dtype=float)
 
     def at(self, omega: float | Array) -> tuple[Array, Array]:
         """Return added mass and damping (n, 6, 6) at frequencies (n,) or one, rad/s."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usv_gym.hydro.table import HydroTable, between
+from usv_gym.hydro.table import between
 from usv_gym.physics import GRAVITY, ship, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
@@ -142,11 +141,11 @@ def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Ar
     Forces in N, moment in N m; the waves as in :func:`drift_sums`.
     """
     table = vessel.hydro
-    if table is None or table.drift is None:
+    if table is None or table.drift_around is None:
         return None
     scale = vessel.values["length_waterline"] / table.length
     points = table.omega / math.sqrt(scale)
-    values = _drift_around(table)
+    values = table.drift_around
     power = scale ** np.array([1.0, 1.0, 2.0])
     if np.ptp(to) == 0.0:
         total, out = np.zeros(values.shape[1:]), np.zeros((waves.LOAD_HEADINGS, 3))
@@ -157,13 +156,6 @@ def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Ar
     # longer waves pass by
     drift = drift * np.minimum(omega / points[0], 1.0)[:, None, None] ** 4
     return power * np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0)
-
-
-@functools.lru_cache(maxsize=32)
-def _drift_around(table: HydroTable) -> Array:
-    """Return the drift (F, K, 3) of a table on a full circle."""
-    assert table.drift is not None
-    return np.ascontiguousarray(table.around(table.drift), dtype=float)
 
 
 @kernel

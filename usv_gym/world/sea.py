@@ -405,7 +405,7 @@ class SeaState:
             # bins of equal ratio: their width grows with the frequency
             share = np.interp(omega, table.omega, table.density) * omega
             return omega, self.hs * np.sqrt(share / (8.0 * np.sum(share)))
-        quantiles = np.clip(within / M, 1e-12, 1 - 1e-12)
+        quantiles = np.minimum(np.maximum(within / M, 1e-12), 1 - 1e-12)  # np.clip takes 4 us more
         if self.spectrum == "pm":
             omega = spectra.pm_equal_energy(self.hs, quantiles)
         else:

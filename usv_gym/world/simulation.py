@@ -346,6 +346,7 @@ class Simulation:
         self._noise_until = self.boats["noise_until"]
         self.z[:] = math.nan
         self.faults["start"] = math.nan
+        self._no_faults = self.faults[0].copy()
         shared = np.zeros(1, SIMULATION)
         config = shared[0]
         config["dt"], config["substeps"], config["dof"] = dt, substeps, dof
@@ -470,9 +471,9 @@ class Simulation:
         faults = tuple(given(rngs["faults"]) if callable(given) else given)
         self.drawn_faults[i] = faults
         if self.faults.shape[1]:
-            self.faults[i] = 0.0
-            self.faults[i]["start"] = math.nan
-            self.faults[i, : len(faults)] = fault_records(faults, self.dt)
+            self.faults[i] = self._no_faults
+            if faults:
+                self.faults[i, : len(faults)] = fault_records(faults, self.dt)
         self._noise_rngs[i] = rngs, fault_sources(faults, rngs["faults"]) if faults else []
         self._noise_until[i] = 0.0
         self._refill(i)
@@ -565,11 +566,11 @@ class Simulation:
             "dt_physics or a calmer sea, and reset"
         )
 
-    def draw_numbers(self) -> None:
-        """Draw the next block of random numbers of every boat whose block is used up."""
-        used_up = self.boats["step"] + 1.0 >= self.boats["noise_until"]
-        for i in np.flatnonzero(used_up):
-            self._refill(int(i))
+    def draw_numbers(self, boats: slice = slice(None)) -> None:
+        """Draw the next block of random numbers of the boats whose block is used up."""
+        some = self.boats[boats]
+        for i in np.flatnonzero(some["step"] + 1.0 >= some["noise_until"]):
+            self._refill(int(i) + (boats.start or 0))
 
     def _refill(self, i: int) -> None:
         """Draw the next block of random numbers of one boat, each source from its generator."""

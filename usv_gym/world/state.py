@@ -13,7 +13,7 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
-from usv_gym.physics.waves import LOAD_ROWS, WAVE_ROWS
+from usv_gym.physics.waves import LOAD_ROWS, OMEGA, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
 from usv_gym.world.anemometer import WIND_ROWS
 from usv_gym.world.faults import CHANNELS, FAULT
@@ -75,11 +75,13 @@ SIMULATION = np.dtype(
 
 @inlined
 def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return waves (7, M), gusts (3, G) and loads (H, 14, M) of a boat."""
-    waves = shaped(row, config.waves_at, (WAVE_ROWS, config.wave_components))
+    """Return waves (7, M), gusts (3, G) and loads (H, 14, M) of a boat; M = 0 in a calm sea."""
+    M = config.wave_components
+    if M > 0 and row[config.waves_at + OMEGA * M] == 0.0:  # others have waves, this boat none
+        M = 0
+    waves = shaped(row, config.waves_at, (WAVE_ROWS, M))
     gusts = shaped(row, config.gusts_at, (3, config.gust_components))
-    shape = (config.load_headings, LOAD_ROWS, config.wave_components)
-    return waves, gusts, shaped(row, config.loads_at, shape)
+    return waves, gusts, shaped(row, config.loads_at, (config.load_headings, LOAD_ROWS, M))
 
 
 @inlined

@@ -107,6 +107,41 @@ def test_compact_entries_of_any_source_are_found_in_lists() -> None:
         set_of(["compact_surge", "compact_true_surge"])
 
 
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "persistence"])
+@pytest.mark.parametrize("vessel", ["usv75", "usv75|otter"])
+def test_forecasts_that_nobody_reads_are_not_made_and_change_no_entry(twin, vessel) -> None:
+    found = []
+    for scores in (True, False):
+        envs = make_vector_env(
+            2, twin=twin, vessel=vessel, observation="compact", forecast_scores=scores,
+            frame_skip=4, max_episode_steps=6, autoreset_mode="SameStep",
+        )  # fmt: skip
+        seen = [envs.reset(seed=5)[0]]
+        for _ in range(8):
+            obs, rewards, *_ = envs.step(np.full((2, 2), 0.3))
+            seen += [obs, rewards]
+        found.append(np.concatenate([one.ravel() for one in seen]))
+        drawn = [envs.observer.overlay(i) is not None for i in range(2)]
+        assert drawn == [scores, scores]
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "persistence"])
+def test_forecasts_are_made_where_they_are_shown_or_drawn(twin) -> None:
+    names, options = ["twin_surge", "ahead_5s_forward"], {"twin": twin, "forecast_scores": False}
+    listed = make_env(observation=names, **options)
+    pictured = make_env(observation="compact", render_mode="rgb_array", **options)
+    full = make_env(observation="twin", twin=twin)
+    for env in (listed, pictured, full):
+        env.reset(seed=2)
+    for _ in range(30):
+        seen, whole = listed.step([0.5, 0.1])[0], full.step([0.5, 0.1])[0]
+        pictured.step([0.5, 0.1])
+    np.testing.assert_array_equal(seen, whole[[NAMES.index(name) for name in names]])
+    ahead = [env.observer.overlay(0).ahead for env in (pictured, full)]
+    np.testing.assert_array_equal(*ahead)
+
+
 def test_near_is_full_within_two_lengths_of_the_end_of_a_leg() -> None:
     env = make_env(twin="ukf", observation=["twin_to_go"], sea="0")
     table = make_env(twin="ukf", observation="compact", sea="0").observer.selection

@@ -87,11 +87,13 @@ def test_every_kind_of_boat_and_sea_is_the_single_one(dof):
 
 
 @pytest.mark.parametrize("twin", [None, "ukf", "dsw-ukf-plus"])
-def test_threads_change_nothing(twin):
-    one, two = natives(5, twin=twin), natives(5, twin=twin, num_threads=2)
+@pytest.mark.parametrize("frame_skip", [1, 4])
+def test_threads_change_nothing(twin, frame_skip):
+    options = {"twin": twin, "frame_skip": frame_skip}
+    one, two = natives(5, **options), natives(5, **options, num_threads=2)
     for a, b in zip(one.reset(seed=1), two.reset(seed=1), strict=True):
         same(a, b)
-    for action in actions(200, 5):
+    for action in actions(200 // frame_skip, 5):
         for a, b in zip(one.step(action), two.step(action), strict=True):
             same(a, b)
     before = threading.active_count()
