@@ -38,10 +38,11 @@ ALGORITHMS = {
     "sac": ("stable_baselines3", "SAC", "MlpPolicy"),
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
     "ppo-residual": ("stable_baselines3", "PPO", "MlpPolicy"),
+    "ppo-mpc": ("stable_baselines3", "PPO", "MlpPolicy"),
 }
 """Module, class and policy of each algorithm."""
 
-CORRECTING = ("ppo-residual",)
+CORRECTING = ("ppo-residual", "ppo-mpc")
 """Those that correct a classical controller."""
 
 

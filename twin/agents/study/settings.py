@@ -33,8 +33,7 @@ POINTS, EVERY = 8, 65_536
 
 ARMS = (
     *(("ppo", f"compact{of}") for of in ("_raw", "", "_params", "_oracle")),
-    *(("ppo-residual", f"compact{of}") for of in ("", "_params")),
-    *(("sac", f"compact{of}") for of in ("", "_raw")),
+    *((algo, "compact") for algo in ("ppo-residual", "ppo-mpc", "sac")),
     ("recurrent_ppo", "compact_raw"),
 )
 """Algorithms and observation sets of the study."""
