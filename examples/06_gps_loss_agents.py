@@ -58,10 +58,10 @@ def main() -> None:
         chart.plot(track[:, 1], track[:, 0], color=colour, lw=1.2, label=SEEN[name])
         chart.plot(track[gone, 1], track[gone, 0], color=colour, lw=3.2)
         below.plot(t, off, color=colour, lw=1.5)
-        while_gone = np.abs(off[gone])
+        worst = f"{np.abs(off[gone]).max():5.2f} m at most" if gone.any() else "not under way"
         print(
             f"{SEEN[name]:>18}: {np.abs(off).mean():5.2f} m off the path on average, "
-            f"{while_gone.max():5.2f} m at most while the GPS is gone"
+            f"{worst} while the GPS is gone"
         )
     chart.plot(points[:, 1], points[:, 0], "--", color="0.35", lw=1.0, marker="o", ms=4, zorder=0)
     chart.set(xlabel="east, m", ylabel="north, m", aspect="equal")

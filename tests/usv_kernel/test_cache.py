@@ -40,6 +40,17 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+def test_sources_digest_may_leave_folders_out(tmp_path: Path) -> None:
+    for name in ("twin/used.py", "twin/idle/page.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("a = 1\n")
+    before = cache.sources_digest(tmp_path, without=("twin/idle/",))
+    (tmp_path / "twin/idle/page.py").write_text("a = 2\n")
+    assert cache.sources_digest(tmp_path, without=("twin/idle/",)) == before
+    (tmp_path / "twin/used.py").write_text("a = 2\n")
+    assert cache.sources_digest(tmp_path, without=("twin/idle/",)) != before
+
+
 def test_sources_digest_changes_with_every_program_file(tmp_path: Path) -> None:
     names = ("usv_kernel/a.py", "usv_gym/vessels/b.toml", "twin/priors/c.csv", "twin/d/e.npz")
     for name in names:

@@ -65,7 +65,7 @@ def _work_one(settings: Settings, folder: Path, piece: Piece) -> dict[str, Any]:
         agent = make_controller(first)
     asked = {
         **{"version": __version__, "sources": sources_digest(without=IDLE)},
-        **{"losses": settings.losses, "environment": plan.environment},
+        **{"losses": settings.losses, "environment": plan.environment, "metrics": METRICS},
         "conditions": {
             name: [one.seas, one.seeds, one.options] for name, one in settings.evaluated.items()
         },
