@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
-__all__ = ["children"]
+__all__ = ["children", "seeded"]
 
 _POOL, _WORDS, _KEY = 4, 8, 2
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
@@ -131,7 +131,17 @@ def children(seed: SeedSequence, keys: Sequence[tuple[int, ...]]) -> list[Genera
     own += [0] * (_POOL - len(own))
     for number in seed.spawn_key:
         own += _words(number)
-    padded, sizes = _arrays(tuple(keys))
+    return _generators(own, tuple(keys))
+
+
+def seeded(numbers: Sequence[int]) -> Generator:
+    """Return ``numpy.random.default_rng(numbers)`` of whole numbers, 0 or more; it cannot spawn."""
+    return _generators([word for number in numbers for word in _words(number)], ((),))[0]
+
+
+def _generators(own: list[int], keys: tuple[tuple[int, ...], ...]) -> list[Generator]:
+    """Return generators of the children with keys of a parent of so many words of 32 bits."""
+    padded, sizes = _arrays(keys)
     states = np.empty((len(keys), _WORDS // 2), dtype=np.uint64)
     _hash(np.array(own, dtype=np.uint64), padded, sizes, np.empty(_POOL, np.uint64), states)
     return [Generator(PCG64(_State(row))) for row in states]  # type: ignore[arg-type]

@@ -180,9 +180,16 @@ def faults_of(config: EnvConfig) -> tuple[Any, int]:
         most = max(len(fault_records(one, dt)) for one in named)
         _warn_of([fault for one in named for fault in one], config)
 
+        later = [parse_faults(one, 1.0) for one in texts]
+        drawn = [
+            [(fault, fault != moved) for fault, moved in zip(*both, strict=True)]
+            for both in zip(named, later, strict=True)
+        ]
+
         def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
             start = rng.uniform(*FAULT_START)
-            return parse_faults(choice(texts, rng), start)
+            found = choice(drawn, rng)
+            return tuple(_begun(one, start) if moves else one for one, moves in found)
 
         drawer: Callable[[np.random.Generator], tuple[Disturbance, ...]] = draw
         return drawer, most
@@ -195,6 +202,13 @@ def faults_of(config: EnvConfig) -> tuple[Any, int]:
         )
     _warn_of(given, config)
     return given, len(given)
+
+
+def _begun(fault: Disturbance, start: float) -> Disturbance:
+    """Return a fault that begins at another time (s), and needs no other check."""
+    begun = object.__new__(type(fault))
+    begun.__dict__.update(fault.__dict__, start=start)
+    return begun
 
 
 def _warn_of(faults: Sequence[Disturbance], config: EnvConfig) -> None:

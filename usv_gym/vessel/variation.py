@@ -204,6 +204,11 @@ def _drift(flat: np.ndarray, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray
     return drift_growth(as_record(flat, par.PARAMETERS), shafts, sea, work)
 
 
+def _clipped(factors: Array) -> Array:
+    """Return factors from 0.1 to 1.9; ``np.clip`` takes three times as long."""
+    return np.asarray(np.minimum(np.maximum(factors, 0.1), 1.9))
+
+
 class DrawnBoat(NamedTuple):
     """A boat of a kind."""
 
@@ -280,7 +285,7 @@ class BoatClass:
         if self._varies:
             factors, flat, speed = self._draw(rng)
         if self.sides > 0.0:
-            factors[-2:] = np.clip(1.0 + self.sides * rng.standard_normal(2), 0.1, 1.9)
+            factors[-2:] = _clipped(1.0 + self.sides * rng.standard_normal(2))
         if self.sides > 0.0 or load != 1.0:
             factors[_LOAD_AT] *= load
             flat = self._parameters(factors)
@@ -294,7 +299,7 @@ class BoatClass:
         for _ in range(TRIES):
             drawn = np.ones(len(FACTORS))
             normal = rng.standard_normal(self._sd.size)
-            drawn[: normal.size] = np.clip(1.0 + self._sd * normal, 0.1, 1.9)
+            drawn[: normal.size] = _clipped(1.0 + self._sd * normal)
             factor = drawn[:_N_SCALARS]
             factor[self._held] = 1.0
             factor[_OVERALL] = factor[_LENGTH]

@@ -25,6 +25,7 @@ from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
+from usv_kernel.streams import seeded
 
 __all__ = [
     "EFFECTS",
@@ -451,7 +452,7 @@ def fault_sources(
         kind = bits % AHRS_BIT if fault.kind == "all" else bits
         key = (fault.code, kind, EFFECTS[fault.effect])
         seen[key] = seen.get(key, -1) + 1
-        sources.append(np.random.default_rng([seed, *key, seen[key]]))
+        sources.append(seeded([seed, *key, seen[key]]))
     return sources
 
 

@@ -147,7 +147,7 @@ def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Ar
     points = table.omega / math.sqrt(scale)
     values = table.drift_around
     power = scale ** np.array([1.0, 1.0, 2.0])
-    if np.ptp(to) == 0.0:
+    if (to == to[0]).all():
         total, out = np.zeros(values.shape[1:]), np.zeros((waves.LOAD_HEADINGS, 3))
         _sum_drift(np.stack([omega, amplitude]), points, values, np.zeros(len(points)), total)
         _turn(total, to.item(0), out)
