@@ -131,6 +131,21 @@ WindFromOption = Annotated[
     typer.Option(help=f"Direction the wind comes from, degrees from north. {SCHEDULE_HELP}"),
 ]
 
+AnyWindOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wind-from", help="Direction the wind comes from, degrees from north, or any: drawn."
+    ),
+]
+
+AnyCurrentOption = Annotated[
+    str | None,
+    typer.Option(
+        "--current",
+        help="Speed of a current to any direction, m/s, or any: up to 0.5 m/s, drawn.",
+    ),
+]
+
 SeaOption = Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")]
 
 CurrentOption = Annotated[float | None, typer.Option(help="Speed of the current, m/s.")]
@@ -367,6 +382,21 @@ def parse_list(text: str, option: str) -> tuple[str, ...]:
     if not items:
         raise OptionError(f"{option}: name at least one")
     return items
+
+
+def parse_world(wind_from: str | None, current: str | None) -> dict[str, Any]:
+    """Return options of the environment from ``--wind-from`` and ``--current``."""
+    world: dict[str, Any] = {}
+    given = {"wind_from_deg": ("--wind-from", wind_from), "current": ("--current", current)}
+    for name, (option, text) in given.items():
+        if text is None or text == "any":
+            world |= {} if text is None else {name: text}
+            continue
+        try:
+            world[name] = float(text)
+        except ValueError:
+            raise OptionError(f"{option} {text}: write a number, or any") from None
+    return world
 
 
 def parse_predictors(text: str, option: str = "--predictors") -> tuple[str, ...]:

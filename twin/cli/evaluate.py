@@ -20,12 +20,15 @@ from twin.agents.recording.video import check_video, record_video
 from twin.agents.study.statistics import REPLICATES, interval
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
+    AnyCurrentOption,
+    AnyWindOption,
     BackendOption,
     JobsOption,
     console,
     new_table,
     parse_list,
     parse_seeds,
+    parse_world,
     progress_bar,
     write_json,
 )
@@ -70,6 +73,8 @@ def evaluate_command(
         float | None,
         typer.Option(help="Spread of the boats. Default: that of the training, or 0."),
     ] = None,
+    wind_from: AnyWindOption = None,
+    current: AnyCurrentOption = None,
     sensors: Annotated[
         str, typer.Option(help=f"Grade of the sensors, one of: {', '.join(GRADES)}.")
     ] = "typical",
@@ -111,6 +116,7 @@ def evaluate_command(
     chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in agents_named(model)]
+    given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     if video is not None:
         check_video(video, len(agents))
@@ -195,7 +201,11 @@ def trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
                 + (f", or name --{name.replace('_', '-')}" if name in named[:4] else "")
             )
         (options[name],) = trained
-    worlds = [agent.settings.get("world", {}) for agent in agents if isinstance(agent, Policy)]
+    worlds = [
+        {key: one for key, one in agent.settings.get("world", {}).items() if key not in given}
+        for agent in agents
+        if isinstance(agent, Policy)
+    ]
     if any(world != worlds[0] for world in worlds):
         raise AgentError(f"these were trained in other worlds, {worlds}: evaluate them one by one")
     del options["sea"], options["faults"]

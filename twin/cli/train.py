@@ -13,12 +13,15 @@ from twin.agents.evaluation import OUTAGES, SEAS
 from twin.agents.hyperparameters import ALGORITHMS, hyperparameters
 from twin.agents.training import EVERY, Plan, Run, train
 from twin.cli.common import (
+    AnyCurrentOption,
+    AnyWindOption,
     JobsOption,
     OptionError,
     console,
     new_table,
     parse_list,
     parse_seeds,
+    parse_world,
     progress_bar,
     stopped,
 )
@@ -38,8 +41,8 @@ def train_command(
     algo: Annotated[
         str,
         typer.Option(
-            help=f"One of: {', '.join(ALGORITHMS)}. ppo-residual corrects los-twin, and begins at "
-            "its level."
+            help=f"One of: {', '.join(ALGORITHMS)}. ppo-residual corrects los-twin and ppo-mpc "
+            "mpc-twin; they begin at its level."
         ),
     ] = "ppo",
     obs: Annotated[
@@ -76,6 +79,8 @@ def train_command(
     vessel_spread: Annotated[
         float, typer.Option(help="Spread of the boats, one of them drawn for each episode.")
     ] = 0.0,
+    wind_from: AnyWindOption = None,
+    current: AnyCurrentOption = None,
     reward_weight: Annotated[
         list[str] | None,
         typer.Option(help="Weight of a term of the reward: cross_track=3; may be repeated."),
@@ -115,6 +120,7 @@ def train_command(
         "twin": twin,
         "vessel": vessel,
         "vessel_spread": vessel_spread,
+        "world": parse_world(wind_from, current),
         "reward_weights": parse_weights(reward_weight or []),
         "init": "" if init is None else str(init),
     }

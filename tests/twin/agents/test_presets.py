@@ -59,8 +59,9 @@ def corrected(n=3, share=0.5, **options):
     return ResidualVecEnv(SB3VecEnv(made), base, share, len(COMPACT))
 
 
-def test_an_untrained_residual_sails_as_its_controller_does(tmp_path):
-    found = learner(tmp_path, "ppo-residual")
+@pytest.mark.parametrize(("algo", "base"), [("ppo-residual", "los-twin"), ("ppo-mpc", "mpc-twin")])
+def test_an_untrained_residual_sails_as_its_controller_does(tmp_path, algo, base):
+    found = learner(tmp_path, algo)
     net = found.model.policy.action_net
     net.weight.data.zero_()
     assert not net.bias.data.any()
@@ -68,7 +69,7 @@ def test_an_untrained_residual_sails_as_its_controller_does(tmp_path):
     found.envs.close()
     rows, expected = (
         evaluate(agent, seeds=(1, 2), faults="gps10@1", max_episode_steps=40)
-        for agent in (policy, make_controller("los-twin"))
+        for agent in (policy, make_controller(base))
     )
     for row, other in zip(rows, expected, strict=True):
         assert row["off_path_m"] == other["off_path_m"] and row["return"] == other["return"]
@@ -119,6 +120,26 @@ def test_a_controller_forgets_a_boat_where_its_episode_ends():
     boats.close()
 
 
+def test_plans_of_a_boat_are_forgotten_where_its_episode_ends(tmp_path):
+    found = learner(tmp_path, "ppo-mpc")
+    boats = found.envs.venv.venv
+    base = boats.base
+    boats.set_options({"first_episode_steps": np.array([8, 12, 9, 12])})
+    boats.seed(1)
+    boats.reset()
+    for k in range(9):
+        _seen, _, dones, infos = boats.step(np.full((4, 2), 0.1))
+        assert dones.tolist() == [k == 7, False, k == 8, False]
+        for i in np.flatnonzero(dones):
+            assert infos[i]["terminal_observation"].shape == (16,)
+            fresh = make_controller("mpc-twin")
+            fresh.begin(boats.envs)
+            fresh.act(boats.envs._shown())
+            np.testing.assert_array_equal(base._plans[i], fresh._plans[i])
+            assert not np.array_equal(base._plans[1], fresh._plans[1])
+    found.envs.close()
+
+
 def test_a_correction_is_a_share_of_the_action():
     boats, plain = corrected(2, share=0.25, sea="0"), corrected(2, sea="0")
     for one in (boats, plain):
@@ -156,7 +177,7 @@ def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ({"residual": {"base": "mpc-twin"}}, "base must be one of los, los-twin"),
+        ({"residual": {"base": "los-dr"}}, "base must be one of los, los-twin, mpc-twin"),
         ({"residual": {"share": 0.0}}, "share above 0"),
         ({"residual": {"share": "half"}}, r"\[residual\] share = 'half': must be a number"),
         ({"residual": {"gain": 1.0}}, r"\[residual\] has no 'gain'; it has base, share"),
@@ -227,8 +248,10 @@ def test_an_agent_is_evaluated_in_the_world_of_its_training(tmp_path):
     assert options["current"] == [0.4, 90.0] and "sea" not in options
     envs = make_envs(1, observation="compact", **options)
     assert envs.reset(seed=1)[1]["drawn"]["current_mps"] == pytest.approx(0.4)
+    other = run(tmp_path / "other").policy
     with pytest.raises(AgentError, match="were trained in other worlds"):
-        trained_with([policy, run(tmp_path / "other").policy], {})
+        trained_with([policy, other], {})
+    assert trained_with([policy, other], {"current": "any"})["current"] == "any"
 
 
 CALLS: list[int] = []
@@ -254,7 +277,7 @@ def test_a_callback_sees_the_model_and_may_end_the_training(tmp_path):
     assert not (tmp_path / "wrong").exists()
 
 
-@pytest.mark.parametrize("algo", ["ppo", "sac", "recurrent_ppo", "ppo-residual"])
+@pytest.mark.parametrize("algo", ["ppo", "sac", "recurrent_ppo", "ppo-residual", "ppo-mpc"])
 def test_a_training_starts_from_saved_weights(tmp_path, algo):
     small = {**TINY} if algo != "sac" else {"n_envs": 4, "learning_starts": 32, "batch_size": 16}
     hyper = hyperparameters(algo) | small
@@ -302,17 +325,21 @@ def test_train_takes_entries_weights_spread_and_callback(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     words = ("train", "--steps", 64, "--hyper", "tiny.toml", "--sea", "0", "--faults", "none")
     more = ("--reward-weight", "effort=2", "--vessel-spread", "0.1", "--num-threads", 2)
+    more += ("--wind-from", "any", "--current", "0.3")
     seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
     said = command(*words, *more, *seen, "--callback", "watch:say").output
     assert "called" in said
     policy = Policy.load("runs/ppo-3-entries-0")
     assert policy.settings["reward_weights"] == {"effort": 2.0}
     assert policy.settings["vessel_spread"] == 0.1
+    assert policy.settings["world"] == {"wind_from_deg": "any", "current": 0.3}
     again = command(*words, *more, *seen, "--init", "runs/ppo-3-entries-0", "--out", "more")
     assert "ppo-3-entries" in again.output
     for wrong, error in (
         (("--reward-weight", "effort"), "write the term and a number, as in cross_track=3"),
         (("--reward-weight", "joy=2"), "the reward has no term 'joy'"),
+        (("--current", "strong"), "--current strong: write a number, or any"),
+        (("--current", "50"), "current"),
         (("--obs", "raw", *seen), "--obs and --entries: give one of them"),
         (("--entries", "twin_crosstrack"), "no entry 'twin_crosstrack'"),
         (("--init", "none.npz"), "none.npz: cannot be read"),
