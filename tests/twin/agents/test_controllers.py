@@ -11,6 +11,7 @@ from twin.agents.agent import ControllerError
 from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.evaluation import evaluate
 from twin.agents.mpc import ModelPredictive
+from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Fault
 from usv_gym.world.sensors import SensorSuite
 
@@ -142,6 +143,17 @@ def test_the_plan_is_rolled_as_the_twin_would_roll_it(twin):
         predictor.n[3:6] = predictor.window["slow"]
         theirs = predictor.mean(plan, row)
     np.testing.assert_allclose(states, theirs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.5, 6.0])
+def test_near_its_point_a_boat_of_any_speed_slows_alike(speed):
+    los = make_controller("los-twin")
+    los.fit(Vessel.load("usv75"), speed, 0.5, 20.0)
+    # half of the last 20 m is left: a quarter of the nominal speed is right there
+    to_go, wanted = 10.0, 0.25
+    motion = np.array([[0.0, to_go, 1.0, 0.0, 1.0, 0.0, 0.0, u] for u in (wanted, 0.5, 0.0)])
+    shafts = los.steer(motion)[:, 0] / los.shaft
+    np.testing.assert_allclose(shafts, [wanted, wanted - 0.5, 3.0 * wanted])
 
 
 def test_the_same_again_gives_the_same():
