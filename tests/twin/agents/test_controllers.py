@@ -146,7 +146,7 @@ def test_the_plan_is_rolled_as_the_twin_would_roll_it(twin):
 
 
 @pytest.mark.parametrize("speed", [1.5, 6.0])
-def test_near_its_point_a_boat_of_any_speed_slows_alike(speed):
+def test_near_its_point_the_nominal_speed_changes_no_shaft_speed(speed):
     los = make_controller("los-twin")
     los.fit(Vessel.load("usv75"), speed, 0.5, 20.0)
     # half of the last 20 m is left: a quarter of the nominal speed is right there
