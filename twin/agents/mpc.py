@@ -322,7 +322,7 @@ class ModelPredictive:
         if not isinstance(observer, CompiledTwins):
             raise ControllerError(
                 "mpc-twin rolls the models of compiled twins; make the environment with "
-                "twin='ukf' or twin='dsw-ukf-plus'"
+                "twin='ukf' or twin='dsw-ukf-plus', and an observation such as 'twin' or 'compact'"
             )
         check_actions(self.name, base)
         joint, rollout_inputs, vessel = observer.joint, observer.rollout_inputs, base.vessel
