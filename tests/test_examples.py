@@ -146,7 +146,8 @@ def test_agent_tables_equal_the_results(task):
     ("task", "agent"),
     [
         *(("path", name) for name in ("los-twin", "ppo-compact_raw", "ppo-compact")),
-        *(("docking", name) for name in ("dock-twin", "ppo-compact", "ppo-compact_oracle")),
+        ("path", "ppo-mpc-compact"),
+        *(("docking", name) for name in ("dock-twin", "ppo-compact", "ppo-residual-compact")),
     ],
 )
 def test_agents_reproduce_a_part_of_the_study(task, agent):
