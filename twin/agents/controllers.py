@@ -358,7 +358,7 @@ def wrapped(angle: Array) -> Array:
 
 
 BASES = ("los", "los-twin", "mpc-twin", "los-oracle", "dock-twin", "dock-oracle")
-"""Names of those that a trained agent may correct: quick, and they forget boat by boat."""
+"""Names of those that a trained agent may correct: they forget boat by boat."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,

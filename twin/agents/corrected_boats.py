@@ -15,8 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from twin.agents.controllers import LOS
-from twin.agents.mpc import ModelPredictive
+from twin.agents.residual import Base
 from usv_gym.envs.sb3 import SB3VecEnv
 
 __all__ = ["ResidualVecEnv", "ScaledReward"]
@@ -31,7 +30,7 @@ class ResidualVecEnv(VecEnvWrapper):
     ----------
     venv : SB3VecEnv
         The boats; their observation has all that the controller needs.
-    base : LOS or ModelPredictive
+    base : Base
         The controller. It forgets what it remembers of a boat where an episode ends.
     share : float
         What a correction of 1 adds to an action of the controller.
@@ -39,9 +38,7 @@ class ResidualVecEnv(VecEnvWrapper):
         The agent sees so many entries of the observation, the first ones.
     """
 
-    def __init__(
-        self, venv: SB3VecEnv, base: LOS | ModelPredictive, share: float, seen: int
-    ) -> None:
+    def __init__(self, venv: SB3VecEnv, base: Base, share: float, seen: int) -> None:
         self.base, self.share, self.seen = base, share, seen
         self.envs = venv.envs
         width = venv.action_space.shape[0]  # type: ignore[index]

@@ -43,7 +43,7 @@ def study_command(
     arms: Annotated[
         str | None,
         typer.Option(
-            help="Comma-separated, as ppo-compact or ppo-residual-compact. [the study's nine]"
+            help="Comma-separated, as ppo-compact or ppo-residual-compact. [those of the study]"
         ),
     ] = None,
     quick: Annotated[

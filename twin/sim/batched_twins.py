@@ -62,6 +62,7 @@ from twin.sim.twin_observation import (
     HEALTH_OBSERVATION,
     NOTE,
     ROWS,
+    SETTINGS,
     TRUST,
     TWIN_OBSERVATION,
     WAVE_STEPS,
@@ -98,6 +99,7 @@ TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 """Names of the observation sets with a twin."""
 
 _HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(HEALTH))
+_LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
 
 
 class TwinObserver(Observer):
@@ -396,13 +398,11 @@ class CompiledTwins(TwinObserver):
             *(array[None] if many == 1 else np.repeat(array[None], many, axis=0) for array in own)
         )
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
-        checks = health_settings(twin.particulars)
         shown = float(observation == "twin_attitude")
         given = band_period, gps_var, 1.0, shown, float(self._grading), 1.0
-        self._settings = np.concatenate([given, checks])
+        self._settings = np.concatenate([given, health_settings(twin.particulars)])
         self._forecast = self._buffers()
-        rolls = self.motions.shape[1] > 0
-        self._motion_work = twin.motion.scratch if rolls else np.zeros(0)
+        self._motion_work = twin.motion.scratch if self.motions.shape[1] > 0 else np.zeros(0)
         # threads need their own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
         self._looks = [self._settings, *(each[0][4] for each in self._all)]
@@ -440,7 +440,7 @@ class CompiledTwins(TwinObserver):
         """See :meth:`TwinObserver.leave_out_forecasts`."""
         super().leave_out_forecasts()
         for settings in self._looks:
-            settings[5] = 0.0
+            settings[_FORECASTING] = 0.0
 
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
@@ -464,7 +464,7 @@ class CompiledTwins(TwinObserver):
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
         for settings in self._looks:
-            settings[2] = look
+            settings[_LOOK] = look
         if rows != _ALL:
             self._call(*self._arguments(rows), obs[rows])
         elif len(self._all) == 1:
@@ -481,7 +481,7 @@ class CompiledTwins(TwinObserver):
 
     def observe_block(self, j: int, obs: NDArray[np.float32], look: bool) -> None:
         """See :class:`Observer`."""
-        self._looks[1 + j][2] = look
+        self._looks[1 + j][_LOOK] = look
         self._call(*self._all[j], obs)
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:

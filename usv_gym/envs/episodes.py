@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -472,7 +472,7 @@ class Episodes:
         """
         watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
         if len(self.blocks) > 1 and not self._own and len(watching) == len(callbacks):
-            return self._step_blocks(obs, watching)
+            return self._step_blocks(obs, self._countdown, watching)
         for left in self._countdown:
             before, active = self._before_step() if self._own else (None, None)
             if not self._step(obs, left):
@@ -509,38 +509,28 @@ class Episodes:
         self.records["idle_steps"][over] = left
 
     def _step(self, obs: np.ndarray, left: int) -> bool:
-        if len(self.blocks) == 1:
-            arguments = (*self._arguments[0], obs, left)
-            result = _step(*arguments)
-            if result == NO_NUMBERS:
-                self.simulation.draw_numbers()
-                result = _step(*arguments)
-            if result == RAN_AWAY:
-                raise self.simulation.runaway()
-            return bool(result == DONE)
-        active = self.records["idle_steps"] == 0.0
-        if not np.isfinite(self.actions[1, active]).all():
-            return False
-        if out_of_numbers(self.simulation.rows):
+        if len(self.blocks) > 1:
+            return self._step_blocks(obs, (left,))
+        arguments = (*self._arguments[0], obs, left)
+        result = _step(*arguments)
+        if result == NO_NUMBERS:
             self.simulation.draw_numbers()
+            result = _step(*arguments)
+        if result == RAN_AWAY:
+            raise self.simulation.runaway()
+        return bool(result == DONE)
 
-        def step_block(j: int) -> None:
-            arguments = (*self._arguments[j], obs[self.blocks[j]], left)
-            if _step(*arguments) == RAN_AWAY:
-                raise self.simulation.runaway()
-
-        self.each(step_block)
-        return True
-
-    def _step_blocks(self, obs: np.ndarray, watching: Sequence[Observer]) -> bool:
-        """Do :meth:`step` block by block: threads wait for each other once a decision."""
+    def _step_blocks(
+        self, obs: np.ndarray, countdown: Iterable[int], watching: Sequence[Observer] = ()
+    ) -> bool:
+        """Take steps block by block: threads wait for each other once, after the last."""
         active = self.records["idle_steps"] == 0.0
         if not np.isfinite(self.actions[1, active]).all():
             return False
 
         def sail(j: int) -> None:
             block = self.blocks[j]
-            for left in self._countdown:
+            for left in countdown:
                 if out_of_numbers(self.simulation.rows[block]):
                     self.simulation.draw_numbers(block)
                 arguments = (*self._arguments[j], obs[block], left)
