@@ -357,14 +357,19 @@ def wrapped(angle: Array) -> Array:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-BASES = ("los", "los-twin", "mpc-twin", "los-oracle", "dock-twin", "dock-oracle")
+BASES = ("los", "los-twin", "mpc-twin", "mpc-steady", "los-oracle", "dock-twin", "dock-oracle")
 """Names of those that a trained agent may correct: they forget boat by boat."""
+
+_STEADY = {"effort": 3.0, "progress": 0.5}
+"""Weights of model-predictive control that hardly changes its shafts: the twin knows a boat best at
+the shaft speeds that it has seen, so that it drifts less without GPS."""
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,
     "los-dr": DeadReckoningLOS,
     "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
     "mpc-twin": ModelPredictive,
+    "mpc-steady": lambda **options: ModelPredictive("mpc-steady", **_STEADY | options),
     "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
 }
 """Controllers of paths by name; each call gives a new one."""

@@ -278,6 +278,8 @@ class ModelPredictive:
 
     Parameters
     ----------
+    name : str
+        Of the controller.
     horizon : float
         How far ahead it plans, times to sail a length.
     rows : int
@@ -291,13 +293,13 @@ class ModelPredictive:
         to knot. A length from the path has the weight 1.
     """
 
-    name = "mpc-twin"
     observation = "twin"
     entries: tuple[str, ...] = ()
     """It reads the twins themselves, and no entry of the observation."""
 
     def __init__(
         self,
+        name: str = "mpc-twin",
         *,
         horizon: float = 7.0,
         rows: int = 16,
@@ -309,9 +311,10 @@ class ModelPredictive:
     ) -> None:
         if not (horizon > 0.0 and rows >= 1 and steps >= 0 and list(knots) == sorted(set(knots))):
             raise ControllerError(
-                f"mpc-twin: horizon = {horizon}, rows = {rows}, steps = {steps}, knots = {knots}: "
+                f"{name}: horizon = {horizon}, rows = {rows}, steps = {steps}, knots = {knots}: "
                 "must be above 0, 1 or more, 0 or more, and times that grow"
             )
+        self.name = name
         self.horizon, self.rows, self.knots, self.steps = horizon, rows, knots, steps
         self.weights = progress, effort, change
 
@@ -321,7 +324,7 @@ class ModelPredictive:
         observer = base.observer
         if not isinstance(observer, CompiledTwins):
             raise ControllerError(
-                "mpc-twin rolls the models of compiled twins; make the environment with "
+                f"{self.name} rolls the models of compiled twins; make the environment with "
                 "twin='ukf' or twin='dsw-ukf-plus', and an observation such as 'twin' or 'compact'"
             )
         check_actions(self.name, base)

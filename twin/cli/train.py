@@ -42,7 +42,7 @@ def train_command(
         str,
         typer.Option(
             help=f"One of: {', '.join(ALGORITHMS)}. ppo-residual corrects los-twin and ppo-mpc "
-            "mpc-twin; they begin at its level."
+            "mpc-steady; they begin at its level."
         ),
     ] = "ppo",
     obs: Annotated[

@@ -80,6 +80,17 @@ def test_the_model_is_worth_looking_ahead_with(task):
     assert mpc < los
 
 
+def test_steady_control_changes_its_shafts_less_and_keeps_as_near():
+    """While waves move the boat: the distance off the path may be a tenth of a length more."""
+    found = {
+        name: sail(make_controller(name), 60.0, 4, sea="2") for name in ("mpc-twin", "mpc-steady")
+    }
+    change = {name: np.abs(np.diff(act[..., 0], axis=0)).mean() for name, (_, act) in found.items()}
+    assert change["mpc-steady"] < 0.5 * change["mpc-twin"]
+    off = {name: np.nanmean(np.abs(errors)) for name, (errors, _) in found.items()}
+    assert off["mpc-steady"] < off["mpc-twin"] + 0.7
+
+
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("frame_skip", [1, 10])
 def test_without_any_sensor_actions_are_still_actions(name, frame_skip):
