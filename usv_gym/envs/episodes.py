@@ -458,7 +458,7 @@ class Episodes:
         draw = self.worlds.draw(for_world) if for_world else None
         self.simulation.begin(i, made, draw.world if draw else None)
         self.worlds.note(i, draw, self.simulation)
-        self.records[i] = 0.0
+        self.memory[i] = 0.0
         number = draw.kind if draw else 0
         kind = self.kinds[number]
         kind.task.reset(i, for_task, draw.world.heading if draw else 0.0)

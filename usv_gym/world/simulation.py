@@ -473,7 +473,8 @@ class Simulation:
         if self.faults.shape[1]:
             self._fault_rows[i] = self._no_faults
             if faults:
-                self.faults[i, : len(faults)] = fault_records(faults, self.dt)
+                records = fault_records(faults, self.dt).view(float)
+                self._fault_rows[i, : len(faults)] = records.reshape(len(faults), -1)
         self._noise_rngs[i] = rngs, fault_sources(faults, rngs["faults"]) if faults else []
         self._noise_until[i] = 0.0
         self._refill(i)
