@@ -48,7 +48,7 @@ SUBSTEPS_MAX = 1000
 """Most integration steps in a control step."""
 
 BOATS_MAX = 100_000
-"""Most boats; they take some 20 kB each, and 0.3 MB more in six degrees of freedom with a table."""
+"""Most boats; they take some 30 kB each, and 0.3 MB more in six degrees of freedom with a table."""
 
 WORK_MAX = 20_000
 """Most integration steps in one call of a kernel, about a second in a sea of 1000 components:
@@ -62,8 +62,8 @@ PLACE_MAX = 1e6
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS = 512, 32
-"""Control steps of random numbers drawn at a time: for one boat, and for each of many."""
+BLOCK_STEPS, FIRST_STEPS = (512, 128), 16
+"""Control steps of random numbers drawn at a time: for one boat, for each of many; at a reset."""
 
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
@@ -577,7 +577,10 @@ class Simulation:
         """Draw the next block of random numbers of one boat, each source from its generator."""
         rngs, rngs_faults = self._noise_rngs[i]
         wind, motion = self._wind_numbers, self._motion_numbers
-        numbers, rows = self._numbers[i], self._block
+        drawn = int(self._noise_until[i])
+        at = drawn % self._block
+        rows = self._block - at if drawn else FIRST_STEPS
+        numbers = self._numbers[i, at : at + rows]
         gps, imu, faults = _COMPASS_AT, _GYRO_AT, sensors.NOISE_SIZE
         numbers[:, :gps] = rngs["gps"].standard_normal((rows, gps))
         numbers[:, gps:imu] = rngs["compass"].standard_normal((rows, imu - gps))
