@@ -144,13 +144,17 @@ def children(
     own += [0] * (_POOL - len(own))
     for number in seed.spawn_key:
         own += _words(number)
-    return [Generator(PCG64(one)) for one in _seeds(own, first, tuple(keys))]
+    return [_generator(one) for one in _seeds(own, first, tuple(keys))]
 
 
 def seeded(numbers: Sequence[int]) -> Generator:
     """Return ``numpy.random.default_rng(numbers)`` of whole numbers, 0 or more."""
     own = [word for number in numbers for word in _words(number)]
-    return Generator(PCG64(_seeds(own, 0, ((),))[0]))
+    return _generator(_seeds(own, 0, ((),))[0])
+
+
+def _generator(seed: _Seed) -> Generator:
+    return Generator(PCG64(seed))  # type: ignore[arg-type]
 
 
 def _seeds(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> list[_Seed]:

@@ -104,9 +104,6 @@ WIND_OBSERVATION = ("wind_ahead", "wind_starboard", "wind_valid", "wind_age")
 THREADS_MAX = 1024
 """Most threads."""
 
-BLOCK_BOATS = 32
-"""Boats that sail a decision together: what they and their twins remember fits a core's cache."""
-
 BOUND = 10.0
 """Largest size of an entry of an observation; what is larger is cut off."""
 
@@ -391,8 +388,7 @@ class Episodes:
         self.config = self.configs[0]
         self.actions = np.zeros((2, n, self.width))
         """Those of the last step, and of this one."""
-        parts = max(min(threads, n), n // BLOCK_BOATS)
-        self.blocks = parts_of(n, self.simulation.substeps, parts)
+        self.blocks = parts_of(n, self.simulation.substeps, threads)
         """The boats of each call of a kernel."""
         sim = self.simulation
         self._arguments: list[tuple[Any, ...]] = [
