@@ -48,7 +48,7 @@ SUBSTEPS_MAX = 1000
 """Most integration steps in a control step."""
 
 BOATS_MAX = 100_000
-"""Most boats; they take some 30 kB each, and 0.3 MB more in six degrees of freedom with a table."""
+"""Most boats; they take some 20 kB each, and 0.3 MB more in six degrees of freedom with a table."""
 
 WORK_MAX = 20_000
 """Most integration steps in one call of a kernel, about a second in a sea of 1000 components:
@@ -62,7 +62,7 @@ PLACE_MAX = 1e6
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS, FIRST_STEPS = (512, 128), 16
+BLOCK_STEPS, FIRST_STEPS = (512, 40), 16
 """Control steps of random numbers drawn at a time: for one boat, for each of many; at a reset."""
 
 
