@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 from numpy.random import PCG64, Generator, SeedSequence
-from numpy.random.bit_generator import ISeedSequence
+from numpy.random.bit_generator import ISpawnableSeedSequence
 from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
 __all__ = ["children", "seeded"]
 
-_POOL, _WORDS, _KEY = 4, 8, 2
+_POOL, _WORDS, _KEY = 4, 8, 3
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
 
 _MASK = np.uint64(0xFFFFFFFF)
@@ -40,13 +40,15 @@ def _mix(x: np.uint64, y: np.uint64) -> np.uint64:
 
 @kernel
 def _hash(
-    entropy: np.ndarray, keys: np.ndarray, sizes: np.ndarray, pool: np.ndarray, out: np.ndarray
+    entropy: np.ndarray, first: int, keys: np.ndarray, sizes: np.ndarray, out: np.ndarray
 ) -> None:
-    """Write the states (n, 4) of the children with keys (n, 2) of which ``sizes`` (n,) count.
+    """Write the states (n, 4) of the children with keys (n, 3) of which ``sizes`` (n,) count.
 
-    ``entropy`` are the words of the parent, its own key included; ``pool`` (4,) is scratch. All
-    are uint64, and hold 32 bits but for the states.
+    ``entropy`` are the words of the parent, its own key included. To the first number of each key
+    ``first`` is added. The last row of ``out`` (n + 1, 4) is scratch. All arrays are uint64, and
+    hold 32 bits but for the states.
     """
+    pool = out[keys.shape[0]]
     own = entropy.shape[0]
     for child in range(keys.shape[0]):
         count = own + int(sizes[child])
@@ -57,6 +59,7 @@ def _hash(
                 word = entropy[i]
             elif i < count:
                 word = keys[child, i - own]
+                word += np.uint64(first if i == own else 0)
             # the first fill the pool, and all others are mixed into each of it
             for j in range(1 if i < _POOL else _POOL):
                 value = (word ^ const) & _MASK
@@ -88,15 +91,21 @@ def _hash(
                 out[child, i // 2] |= value << np.uint64(32)
 
 
-class _State(ISeedSequence):
-    """Hands a bit generator the state that was hashed for it."""
+class _Seed(ISpawnableSeedSequence):
+    """Hands a bit generator the state that was hashed for it, and spawns as NumPy's does."""
 
-    def __init__(self, words: NDArray[np.uint64]) -> None:
-        self.words = words
+    def __init__(self, words: NDArray[np.uint64], own: list[int], key: tuple[int, ...]) -> None:
+        self._state, self._own, self._key, self._spawned = words, own, key, 0
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[np.uint64]:
         """Return the words; a PCG64 asks for four of 64 bits."""
-        return self.words
+        return self._state
+
+    def spawn(self, n_children: int) -> list[_Seed]:
+        """Return the next children."""
+        first, self._spawned = self._spawned, self._spawned + n_children
+        own = self._own + [word for number in self._key for word in _words(number)]
+        return _seeds(own + [0] * (_POOL - len(own)), first, tuple((k,) for k in range(n_children)))
 
 
 def _words(number: int) -> list[int]:
@@ -107,48 +116,60 @@ def _words(number: int) -> list[int]:
     return found
 
 
-def children(seed: SeedSequence, keys: Sequence[tuple[int, ...]]) -> list[Generator]:
+def children(
+    seed: SeedSequence, keys: Sequence[tuple[int, ...]], first: int = 0
+) -> list[Generator]:
     """Return generators of the children of a seed sequence, which does not count them.
 
     Parameters
     ----------
     seed : SeedSequence
-        The parent; one that nothing was spawned from.
+        The parent.
     keys : sequence of tuple of int
-        ``(k,)`` is the k-th child, ``(k, j)`` the j-th child of that.
+        ``(k,)`` is the k-th child, ``(k, j)`` the j-th child of that, and so on, three at most.
+    first : int
+        The child that is counted as the 0-th one.
 
     Returns
     -------
     list of Generator
-        Each equal to the one that :meth:`numpy.random.Generator.spawn` gives. They cannot spawn.
+        Each equal to the one that :meth:`numpy.random.Generator.spawn` gives.
     """
     entropy = seed.entropy
     if not isinstance(entropy, int) or seed.pool_size != _POOL:
-        keyed = [SeedSequence(entropy, spawn_key=(*seed.spawn_key, *key)) for key in keys]
-        return [Generator(PCG64(one)) for one in keyed]
+        whole = [(*seed.spawn_key, first + key[0], *key[1:]) for key in keys]
+        return [Generator(PCG64(SeedSequence(entropy, spawn_key=key))) for key in whole]
     own = _words(entropy)
     # a key begins where a pool of zeros would end
     own += [0] * (_POOL - len(own))
     for number in seed.spawn_key:
         own += _words(number)
-    return _generators(own, tuple(keys))
+    return [_generator(one) for one in _seeds(own, first, tuple(keys))]
 
 
 def seeded(numbers: Sequence[int]) -> Generator:
-    """Return ``numpy.random.default_rng(numbers)`` of whole numbers, 0 or more; it cannot spawn."""
-    return _generators([word for number in numbers for word in _words(number)], ((),))[0]
+    """Return ``numpy.random.default_rng(numbers)`` of whole numbers, 0 or more."""
+    own = [word for number in numbers for word in _words(number)]
+    return _generator(_seeds(own, 0, ((),))[0])
 
 
-def _generators(own: list[int], keys: tuple[tuple[int, ...], ...]) -> list[Generator]:
-    """Return generators of the children with keys of a parent of so many words of 32 bits."""
+def _generator(seed: _Seed) -> Generator:
+    return Generator(PCG64(seed))  # type: ignore[arg-type]
+
+
+def _seeds(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> list[_Seed]:
+    """Return the children with keys of a parent of so many words, from the ``first`` one on."""
     padded, sizes = _arrays(keys)
-    states = np.empty((len(keys), _WORDS // 2), dtype=np.uint64)
-    _hash(np.array(own, dtype=np.uint64), padded, sizes, np.empty(_POOL, np.uint64), states)
-    return [Generator(PCG64(_State(row))) for row in states]  # type: ignore[arg-type]
+    states = np.empty((len(keys) + 1, _WORDS // 2), dtype=np.uint64)
+    _hash(np.array(own, dtype=np.uint64), first, padded, sizes, states)
+    return [
+        _Seed(states[i], own, (first + key[0], *key[1:]) if key else ())
+        for i, key in enumerate(keys)
+    ]
 
 
 @functools.lru_cache(maxsize=64)
 def _arrays(keys: tuple[tuple[int, ...], ...]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Return keys (n, 2), filled up with zeros, and their sizes (n,)."""
+    """Return keys (n, 3), filled up with zeros, and their sizes (n,)."""
     padded = [(*key, *[0] * (_KEY - len(key))) for key in keys]
     return np.array(padded, np.uint64), np.array([len(key) for key in keys], np.uint64)

@@ -25,9 +25,24 @@ def test_children_are_those_that_numpy_spawns(entropy, key) -> None:
     for one, other in zip(ours, theirs, strict=True):
         assert one.bit_generator.state == other.bit_generator.state
         np.testing.assert_array_equal(one.standard_normal(3), other.standard_normal(3))
+        for _ in range(2):  # and so are their own children
+            born = [each.spawn(2)[1].bit_generator.state for each in (one, other)]
+            assert born[0] == born[1]
+
+
+@given(first=st.integers(0, 2**31), key=st.lists(st.integers(0, 2**40), max_size=2))
+def test_children_from_a_first_one_on_are_those_that_numpy_spawns(first, key) -> None:
+    seed = np.random.SeedSequence(7, spawn_key=tuple(key))
+    for one, (k, *rest) in zip(
+        children(seed, [*KEYS, (2, 1, 4)], first), [*KEYS, (2, 1, 4)], strict=True
+    ):
+        whole = np.random.SeedSequence(7, spawn_key=(*key, first + k, *rest))
+        assert one.bit_generator.state == np.random.default_rng(whole).bit_generator.state
 
 
 @given(st.lists(st.integers(0, 2**70), min_size=1, max_size=7))
 def test_seeded_generators_are_those_of_numpy(numbers) -> None:
-    theirs = np.random.default_rng(numbers)
-    assert seeded(numbers).bit_generator.state == theirs.bit_generator.state
+    ours, theirs = seeded(numbers), np.random.default_rng(numbers)
+    assert ours.bit_generator.state == theirs.bit_generator.state
+    (born,), (expected,) = ours.spawn(1), theirs.spawn(1)
+    assert born.bit_generator.state == expected.bit_generator.state

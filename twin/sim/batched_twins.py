@@ -401,7 +401,8 @@ class CompiledTwins(TwinObserver):
         shown = float(observation == "twin_attitude")
         given = band_period, gps_var, 1.0, shown, float(self._grading), 1.0
         self._settings = np.concatenate([given, health_settings(twin.particulars)])
-        self._forecast = self._buffers()
+        self._given = plain(predictor.config)
+        self._scratch = plain((predictor.work, self._buffers()))
         self._motion_work = twin.motion.scratch if self.motions.shape[1] > 0 else np.zeros(0)
         # threads need their own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
@@ -485,7 +486,7 @@ class CompiledTwins(TwinObserver):
         self._call(*self._all[j], obs)
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
-        sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor
+        sim, task = self.episodes.simulation, self.episodes.task
         boats = Boats(
             sim.rows[rows],
             task.points[rows],
@@ -496,14 +497,9 @@ class CompiledTwins(TwinObserver):
             self.first.motion.settings,
             self._motion_work.copy() if own else self._motion_work,
         )
-        memory = type(self.memory)(*(array[rows] for array in self.memory))
-        scratch = predictor.work, self._forecast
-        return (
-            plain(boats),
-            plain(memory),
-            plain(predictor.config),
-            *plain(copy.deepcopy(scratch) if own else scratch),
-        )
+        scratch = copy.deepcopy(self._scratch) if own else self._scratch
+        memory = (array[rows] for array in self.memory)
+        return tuple(boats), tuple(memory), self._given, *scratch
 
     @property
     def rollout_inputs(self) -> RolloutInputs:

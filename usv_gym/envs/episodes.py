@@ -60,6 +60,7 @@ from usv_kernel.errors import check_whole
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
+from usv_kernel.streams import children
 
 __all__ = [
     "BOUND",
@@ -357,6 +358,10 @@ class Episodes:
                 if (found := warning_of(vessel, sea, config.dof)) is not None:
                     warnings.warn(found, CapsizeWarning, stacklevel=2)
         self.worlds = Worlds(n, config, vessels)
+        # children of a boat's generator, by what they are for; that of the simulation has its own
+        streams = self.simulation.streams
+        self._names = (*streams.names, "task", *["world"] * self.worlds.active)
+        self._keys = (*((0, *key) for key in streams.keys), (1,), *[(2,)] * self.worlds.active)
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
         self.memory = np.zeros((n, record_size(EPISODE)))
@@ -439,14 +444,17 @@ class Episodes:
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
-        # a last child for what differs between episodes: without any, nothing else is drawn
+        # one child for the simulation, one for the task, and a last one for what differs between
+        # episodes: without any, nothing else is drawn
         seed: Any = rng.bit_generator.seed_seq
-        for_simulation, *others = seed.spawn(2 + self.worlds.active)
-        for_task, *for_world = (np.random.default_rng(one) for one in others)
-        draw = self.worlds.draw(for_world[0]) if for_world else None
-        self.simulation.begin(i, for_simulation, draw.world if draw else None)
+        first = seed.n_children_spawned
+        seed.spawn(2 + self.worlds.active)
+        made = dict(zip(self._names, children(seed, self._keys, first), strict=True))
+        for_task, for_world = made.pop("task"), made.pop("world", None)
+        draw = self.worlds.draw(for_world) if for_world else None
+        self.simulation.begin(i, made, draw.world if draw else None)
         self.worlds.note(i, draw, self.simulation)
-        self.records[i] = 0.0
+        self.memory[i] = 0.0
         number = draw.kind if draw else 0
         kind = self.kinds[number]
         kind.task.reset(i, for_task, draw.world.heading if draw else 0.0)

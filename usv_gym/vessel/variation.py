@@ -21,7 +21,7 @@ from usv_gym.physics import ship
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.vessel.schema import VesselError
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, field_at, record_size
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ _LENGTH, _OVERALL, _BEAM, _PLANE = (
     par.SCALARS.index(key) for key in ("length_waterline", "length_overall", "beam", "A_wp")
 )
 
-_LOAD_AT = [par.SCALARS.index(key) for key in _LOADED]
+_LOAD_AT = tuple(par.SCALARS.index(key) for key in _LOADED)
 
 _SPEEDS_AT, _FORCES_AT, _SIDES_AT = (
     slice(field_at(par.PARAMETERS, key), field_at(par.PARAMETERS, key) + size)
@@ -172,6 +172,69 @@ def drift_growth(p: Record, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray)
     return most
 
 
+class _Law(NamedTuple):
+    """How the boats of a kind are drawn and checked; for kernels."""
+
+    sd: Array
+    """Standard deviation of each factor but for those of the sides; negative: it stays 1."""
+    nominal: Array
+    """Flat parameters of the nominal boat."""
+    shafts: Array
+    """Shaft speeds at which it is to keep its course, rev/s; the first is that of its speed."""
+    bounds: Array
+    """Speed of the nominal boat (m/s), and the largest growth rate of drift."""
+    sea: ship.Sea
+    work: Array
+
+
+@kernel
+def _fill(factors: np.ndarray, law: _Law, flat: np.ndarray) -> None:
+    """Write flat parameters: the nominal ones times factors."""
+    nominal = law.nominal
+    for i in range(_N_SCALARS):
+        flat[i] = nominal[i] * factors[i]
+    for i in range(par.RESISTANCE_POINTS):
+        speed, force = _SPEEDS_AT.start + i, _FORCES_AT.start + i
+        flat[speed] = nominal[speed] * factors[_N_SCALARS + 1]
+        flat[force] = nominal[force] * factors[_N_SCALARS]
+    for i in range(2):
+        side = _SIDES_AT.start + i
+        flat[side] = (1.0 + nominal[side]) * factors[_N_SCALARS + 2 + i] - 1.0
+
+
+@inlined
+def _clipped(factor):
+    """Return a factor from 0.1 to 1.9."""
+    return min(max(factor, 0.1), 1.9)
+
+
+@kernel
+def _try(normals: np.ndarray, law: _Law, factors: np.ndarray, flat: np.ndarray) -> float:
+    """Write factors and flat parameters of a boat, and return its speed, or -1: draw it again."""
+    for i in range(law.sd.shape[0]):
+        factors[i] = _clipped(1.0 + law.sd[i] * normals[i]) if law.sd[i] >= 0.0 else 1.0
+    factors[_OVERALL] = factors[_LENGTH]
+    factors[_PLANE] = factors[_LENGTH] * factors[_BEAM]
+    _fill(factors, law, flat)
+    return _accept(flat, law.shafts, law.bounds, law.sea, law.work)
+
+
+@kernel
+def _finish(
+    normals: np.ndarray, load: float, law: _Law, factors: np.ndarray, flat: np.ndarray
+) -> float:
+    """Draw the thrust of the sides, load the boat, and return its speed, or -1 if it has none.
+
+    ``normals`` are the numbers of the two sides times their standard deviation; none: they stay.
+    """
+    for i in range(normals.shape[0]):
+        factors[_N_SCALARS + 2 + i] = _clipped(1.0 + normals[i])
+    for i in _LOAD_AT:
+        factors[i] *= load
+    _fill(factors, law, flat)
+    return steady_speed(law.shafts[0], as_record(flat, par.PARAMETERS), law.work[0])
+
+
 @kernel
 def _accept(
     flat: np.ndarray, shafts: np.ndarray, bounds: np.ndarray, sea: ship.Sea, work: np.ndarray
@@ -193,20 +256,9 @@ def _accept(
 
 
 @kernel
-def _steady(flat: np.ndarray, n: float, work: np.ndarray) -> float:
-    """Do :func:`steady_speed` on flat memory."""
-    return steady_speed(n, as_record(flat, par.PARAMETERS), work[0])
-
-
-@kernel
 def _drift(flat: np.ndarray, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray) -> float:
     """Do :func:`drift_growth` on flat memory."""
     return drift_growth(as_record(flat, par.PARAMETERS), shafts, sea, work)
-
-
-def _clipped(factors: Array) -> Array:
-    """Return factors from 0.1 to 1.9; ``np.clip`` takes three times as long."""
-    return np.asarray(np.minimum(np.maximum(factors, 0.1), 1.9))
 
 
 class DrawnBoat(NamedTuple):
@@ -249,28 +301,33 @@ class BoatClass:
         self.vessel, self.spread, self.built = vessel, spread, built
         self.sides = sides if vessel.values["units"] == 2.0 else 0.0
         self._varies = spread + built > 0.0
-        self._sd = np.array(
+        flat = np.array([vessel.packed]).view(np.float64).copy()
+        sd = np.array(
             [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
         )
-        self._flat = np.array([vessel.packed]).view(np.float64).copy()
         # numbers that a vessel lacks are filled in for kernels, and stay as they are
-        own = [key in vessel.values and key not in _FIXED for key in par.SCALARS]
-        self._held = ~np.array(own)
+        for i, key in enumerate(par.SCALARS):
+            if key not in vessel.values or key in _FIXED:
+                sd[i] = -1.0
         self._nominal = np.array(list(vessel.values.values()))
         beam, roll = "beam", "zeta_roll"
         same = {"hull_beam": beam, "spacing": beam, "zeta_roll_viscous": roll}
         # what kernels do not read stays as it is: the kind stands for a factor of 1
-        self._places = [
-            par.SCALARS.index("kind" if key in _FIXED else same.get(key, key))
-            for key in vessel.values
-        ]
-        self._shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
-        self._sea, self._work = ship.calm_sea(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-        self.speed = vessel.straight_speed(float(self._shafts[0]))
-        growth = _drift(self._flat, self._shafts, self._sea, self._work) if self._varies else 0.0
-        self._bounds = np.array([self.speed, max(growth, 0.0)])
+        self._places = np.array(
+            [
+                par.SCALARS.index("kind" if key in _FIXED else same.get(key, key))
+                for key in vessel.values
+            ]
+        )
+        shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
+        sea, work = ship.calm_sea(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+        self.speed = vessel.straight_speed(float(shafts[0]))
+        growth = _drift(flat, shafts, sea, work) if self._varies else 0.0
+        bounds = np.array([self.speed, max(growth, 0.0)])
+        self._law = _Law(sd, flat, shafts, bounds, sea, work)
         fields = (item.name for item in dataclasses.fields(vessel))
         self._fields = {name: getattr(vessel, name) for name in fields}
+        self._resistance = np.array([vessel.resistance_speed, vessel.resistance_force])
 
     def draw(self, rng: np.random.Generator, load: float = 1.0) -> DrawnBoat:
         """Return a boat; equal states of ``rng`` give equal boats.
@@ -281,61 +338,41 @@ class BoatClass:
         factors = np.ones(len(FACTORS))
         if not self._varies and self.sides == 0.0 and load == 1.0:
             return DrawnBoat(self.vessel, factors, self.speed)
-        flat, speed = self._flat, self.speed
+        flat, speed = self._law.nominal.copy(), self.speed
         if self._varies:
-            factors, flat, speed = self._draw(rng)
-        if self.sides > 0.0:
-            factors[-2:] = _clipped(1.0 + self.sides * rng.standard_normal(2))
+            speed = self._draw(rng, factors, flat)
         if self.sides > 0.0 or load != 1.0:
-            factors[_LOAD_AT] *= load
-            flat = self._parameters(factors)
-            speed = float(_steady(flat, float(self._shafts[0]), self._work))
+            normals = self.sides * rng.standard_normal(2) if self.sides > 0.0 else np.empty(0)
+            speed = _finish(normals, float(load), self._law, factors, flat)
             if not speed > 0.0:
                 raise VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
         return DrawnBoat(self._vessel(factors, flat), factors, speed)
 
-    def _draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        """Return factors, flat parameters and the speed of a boat that is kept."""
+    def _draw(self, rng: np.random.Generator, factors: Array, flat: Array) -> float:
+        """Write factors and flat parameters of a boat that is kept, and return its speed."""
+        law = self._law
         for _ in range(TRIES):
-            drawn = np.ones(len(FACTORS))
-            normal = rng.standard_normal(self._sd.size)
-            drawn[: normal.size] = _clipped(1.0 + self._sd * normal)
-            factor = drawn[:_N_SCALARS]
-            factor[self._held] = 1.0
-            factor[_OVERALL] = factor[_LENGTH]
-            factor[_PLANE] = factor[_LENGTH] * factor[_BEAM]
-            flat = self._parameters(drawn)
-            speed = float(_accept(flat, self._shafts, self._bounds, self._sea, self._work))
+            speed = _try(rng.standard_normal(law.sd.size), law, factors, flat)
             if speed > 0.0:
-                return drawn, flat, speed
+                return float(speed)
         raise VesselError(
             f"{self.vessel.name}: none of {TRIES} boats drawn with spread = {self.spread:g}, "
             f"built = {self.built:g} holds speed and course; use smaller spreads"
         )
 
-    def _parameters(self, factors: Array) -> Array:
-        """Return flat parameters: the nominal ones times factors."""
-        flat = self._flat.copy()
-        flat[:_N_SCALARS] *= factors[:_N_SCALARS]
-        flat[_FORCES_AT] *= factors[_N_SCALARS]
-        flat[_SPEEDS_AT] *= factors[_N_SCALARS + 1]
-        flat[_SIDES_AT] = (1.0 + flat[_SIDES_AT]) * factors[_N_SCALARS + 2 :] - 1.0
-        return flat
-
     def _vessel(self, factors: Array, flat: Array) -> Vessel:
         """Return the vessel of drawn numbers, which need no other check."""
-        force, speed = factors[_N_SCALARS].item(), factors[_N_SCALARS + 1].item()
+        force, speed = factors[_N_SCALARS], factors[_N_SCALARS + 1]
         values = (factors[self._places] * self._nominal).tolist()
-        nominal = self._fields
         changed: dict[str, Any] = {
             "values": MappingProxyType(dict(zip(self.vessel.values, values, strict=True))),
-            "resistance_speed": tuple(speed * v for v in nominal["resistance_speed"]),
-            "resistance_force": tuple(force * f for f in nominal["resistance_force"]),
+            "resistance_speed": tuple((speed * self._resistance[0]).tolist()),
+            "resistance_force": tuple((force * self._resistance[1]).tolist()),
             "side_thrust": tuple(flat[_SIDES_AT].tolist()),
             "packed": flat.view(par.PARAMETERS)[0],
         }
         vessel = object.__new__(type(self.vessel))
-        vessel.__dict__.update(nominal | changed)
+        vessel.__dict__.update(self._fields, **changed)
         return vessel
 
 

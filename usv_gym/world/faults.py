@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from abc import ABC, abstractmethod
@@ -182,14 +183,24 @@ class Disturbance(ABC):
 
     def record(self, dt: float) -> Record:
         """Return the record that :func:`measure` reads, for control steps of dt s."""
-        record = np.zeros(1, FAULT)[0]
-        record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
-        sizes = (*self.sizes, *SPIKE_SIZES[len(self.sizes) :])
-        record["chance"], record["sizes"] = self.chance, sizes
-        record["factor"] = _FACTORS.get(self.effect, self.factor)
+        record = _untimed(
+            self.kind, self.effect, self.chance, tuple(self.sizes), self.factor
+        ).copy()
         for name, value in self._timing(dt).items():
             record[name] = value
         return record
+
+
+@functools.lru_cache(maxsize=64)
+def _untimed(
+    kind: str, effect: str, chance: float, sizes: tuple[float, ...], factor: float
+) -> Record:
+    """Return the record of a fault but for when it strikes; it is kept for the next reset."""
+    record = np.zeros(1, FAULT)[0]
+    record["bits"], record["effect"] = FAULT_KINDS[kind], EFFECTS[effect]
+    record["chance"], record["sizes"] = chance, (*sizes, *SPIKE_SIZES[len(sizes) :])
+    record["factor"] = _FACTORS.get(effect, factor)
+    return record
 
 
 @dataclass(frozen=True)

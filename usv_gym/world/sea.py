@@ -20,6 +20,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea, complete_rows, drift_sums, drift_table
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
+from usv_kernel.records import Record
 
 __all__ = [
     "SEA_STATES",
@@ -327,17 +328,9 @@ class SeaState:
         if current is None:
             current = self.current * math.cos(to), self.current * math.sin(to)
         turn = 0.0 if wind_from is None else wind_from - self.wind_from
-        weather = wx.constant(
-            wind=self.wind, wind_from=self.wind_from + turn, north=current[0], east=current[1]
-        )
-        weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
-        weather["from_sd"], weather["from_tau"] = self.wind_from_sd, self.wind_from_tau
-        weather["changes"] = max(len(self.schedule) - 1, 0)
-        for i, keyframe in enumerate(self.schedule):
-            gain = keyframe.hs / self.hs if self.hs > 0.0 else 1.0
-            weather["keyframe_t"][i], weather["wave_gain"][i] = keyframe.time, gain
-            weather["wind_speed"][i] = keyframe.wind
-            weather["wind_from"][i] = self._wind_from(keyframe) + turn
+        weather = self._weather.copy()
+        weather["wind_from"][: max(len(self.schedule), 1)] += turn
+        weather["current_north"], weather["current_east"] = current
         waves_to = self.waves_to + (turn if self.wave_to is None else 0.0)
         if self.hs > 0.0:
             weather["drift_sums"], drift = self._drift(vessel, waves_to)
@@ -345,6 +338,20 @@ class SeaState:
                 weather["drift_table"], weather["drift_tabled"] = drift, 1.0
         components, gusts = self._waves(vessel, rng_waves, waves_to), self._gusts(rng_gusts)
         return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
+
+    @cached_property
+    def _weather(self) -> Record:
+        """Weather without waves' drift and without current."""
+        weather = wx.constant(wind=self.wind, wind_from=self.wind_from)
+        weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
+        weather["from_sd"], weather["from_tau"] = self.wind_from_sd, self.wind_from_tau
+        weather["changes"] = max(len(self.schedule) - 1, 0)
+        for i, keyframe in enumerate(self.schedule):
+            gain = keyframe.hs / self.hs if self.hs > 0.0 else 1.0
+            weather["keyframe_t"][i], weather["wave_gain"][i] = keyframe.time, gain
+            weather["wind_speed"][i] = keyframe.wind
+            weather["wind_from"][i] = self._wind_from(keyframe)
+        return weather
 
     @property
     def waves_to(self) -> float:

@@ -21,7 +21,7 @@ from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
-from usv_gym.world.streams import BoatStreams
+from usv_gym.world.streams import BoatStreams, Streams
 from usv_kernel.arrays import shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import inlined, kernel
@@ -62,8 +62,8 @@ PLACE_MAX = 1e6
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS = 512, 32
-"""Control steps of random numbers drawn at a time: for one boat, and for each of many."""
+BLOCK_STEPS, FIRST_STEPS = (512, 40), 16
+"""Control steps of random numbers drawn at a time: for one boat, for each of many; at a reset."""
 
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
@@ -266,6 +266,8 @@ class Simulation:
         What the kernels take; see :mod:`usv_gym.world.state`.
     config, shared : record of SIMULATION, ndarray
         What all boats share, and the same as flat memory for kernels.
+    streams : BoatStreams
+        Makes the generators of a boat.
     """
 
     def __init__(
@@ -342,16 +344,17 @@ class Simulation:
             self.boats["t"],
         )
         several, wind = len(self.seas) > 1, suite.has_anemometer
-        self._streams = BoatStreams(sea=several, motion=dof == 6, wind=wind, faults=bool(faults))
+        self.streams = BoatStreams(sea=several, motion=dof == 6, wind=wind, faults=bool(faults))
         self._noise_until = self.boats["noise_until"]
         self.z[:] = math.nan
         self.faults["start"] = math.nan
-        self._no_faults = self.faults[0].copy()
+        self._fault_rows, self._no_faults = parts["faults"], parts["faults"][0].copy()
         shared = np.zeros(1, SIMULATION)
         config = shared[0]
         config["dt"], config["substeps"], config["dof"] = dt, substeps, dof
         config["suite"] = self.suite.pack(dt)
-        self.boats["vessel"] = vessel.packed
+        self._packed = self.boats["vessel"]
+        self._packed[:] = vessel.packed
         self.vessels = [vessel] * n
         """The boats of this episode, and what they sail in."""
         self.drawn_seas = [self.seas[0]] * n
@@ -370,7 +373,7 @@ class Simulation:
         """Scratch of the kernels that advance boats; threads need copies."""
         self._motion_numbers = motion_at, motion_numbers
         self._wind_numbers = motion_at + motion_numbers, wind_numbers
-        none: tuple[dict[str, np.random.Generator], list[np.random.Generator]] = {}, []
+        none: tuple[Streams, list[np.random.Generator]] = {}, []
         self._noise_rngs = [none] * n
         self._not_reset = set(range(n))
         n_start = vessel.values["shaft_speed_manoeuvring"]
@@ -433,33 +436,30 @@ class Simulation:
             state[fr.PSI] = world.heading
             if speed is None:
                 state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-            self._begin(int(i), self._streams.spawned(rng), world, state)
+            self._begin(int(i), self.streams.spawned(rng), world, state)
 
-    def begin(self, i: int, seed: np.random.SeedSequence, world: World | None = None) -> None:
-        """Put boat i to its start, as :meth:`reset` does with ``default_rng(seed)``.
+    def begin(self, i: int, rngs: Streams, world: World | None = None) -> None:
+        """Put boat i to its start, as :meth:`reset` does, with generators of ``streams``.
 
-        ``seed`` is one that nothing was spawned from, and nothing else is to be. ``world`` is what
-        differs from boat to boat.
+        ``world`` is what differs from boat to boat.
         """
         world = world or World(self.vessel, self._default_start[0])
         state = np.zeros(fr.STATE_SIZE)
         state[fr.PSI] = world.heading
         state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-        self._begin(i, self._streams.of(seed), world, state)
+        self._begin(i, rngs, world, state)
 
     def _start_of(self, world: World) -> tuple[float, float, float]:
         """Return speed (m/s) and shaft speeds (rev/s) at the start."""
         n = world.vessel.values["shaft_speed_manoeuvring"]
         return world.speed, n, n
 
-    def _begin(
-        self, i: int, rngs: dict[str, np.random.Generator], world: World, state: np.ndarray
-    ) -> None:
+    def _begin(self, i: int, rngs: Streams, world: World, state: np.ndarray) -> None:
         """Put boat i to its start with a state (16,) and generators for what is drawn, by name."""
         self._not_reset.discard(i)
         if self.vessels[i] is not world.vessel:
             self.vessels[i] = world.vessel
-            self.boats[i]["vessel"] = world.vessel.packed
+            self._packed[i] = world.vessel.packed
         several = len(self.seas) > 1
         drawn = self.drawn_seas[i] = choice(self.seas, rngs["sea"]) if several else self.seas[0]
         wind_from, current = world.wind_from, world.current
@@ -471,9 +471,10 @@ class Simulation:
         faults = tuple(given(rngs["faults"]) if callable(given) else given)
         self.drawn_faults[i] = faults
         if self.faults.shape[1]:
-            self.faults[i] = self._no_faults
+            self._fault_rows[i] = self._no_faults
             if faults:
-                self.faults[i, : len(faults)] = fault_records(faults, self.dt)
+                records = fault_records(faults, self.dt).view(float)
+                self._fault_rows[i, : len(faults)] = records.reshape(len(faults), -1)
         self._noise_rngs[i] = rngs, fault_sources(faults, rngs["faults"]) if faults else []
         self._noise_until[i] = 0.0
         self._refill(i)
@@ -576,7 +577,10 @@ class Simulation:
         """Draw the next block of random numbers of one boat, each source from its generator."""
         rngs, rngs_faults = self._noise_rngs[i]
         wind, motion = self._wind_numbers, self._motion_numbers
-        numbers, rows = self._numbers[i], self._block
+        drawn = int(self._noise_until[i])
+        at = drawn % self._block
+        rows = self._block - at if drawn else FIRST_STEPS
+        numbers = self._numbers[i, at : at + rows]
         gps, imu, faults = _COMPASS_AT, _GYRO_AT, sensors.NOISE_SIZE
         numbers[:, :gps] = rngs["gps"].standard_normal((rows, gps))
         numbers[:, gps:imu] = rngs["compass"].standard_normal((rows, imu - gps))

@@ -29,22 +29,18 @@ class BoatStreams:
     """
 
     def __init__(self, *, sea: bool, motion: bool, wind: bool, faults: bool) -> None:
-        used = {"sea": sea, "motion": motion, "wind": wind, "faults": False}
+        used = {"sea": sea, "motion": motion, "wind": wind, "faults": faults}
         # with or without gusts, the slow wind is the same
-        self._keys: list[tuple[int, ...]] = [(STREAMS.index("gusts"), 0)]
-        self._keys += [(k,) for k, name in enumerate(STREAMS) if used.get(name, True)]
-        self._names = ["weather", *(STREAMS[key[0]] for key in self._keys[1:])]
-        self._faults, self._count = faults, len(STREAMS) - (not wind)
+        keys: list[tuple[int, ...]] = [(STREAMS.index("gusts"), 0)]
+        keys += [(k,) for k, name in enumerate(STREAMS) if used.get(name, True)]
+        self.keys = tuple(keys)
+        """Which children of the boat's generator these are, see :func:`children`."""
+        self.names = ("weather", *(STREAMS[key[0]] for key in keys[1:]))
+        self._count = len(STREAMS) - (not wind)
 
     def of(self, seed: np.random.SeedSequence, first: int = 0) -> Streams:
         """Return the children of a seed sequence that are used, from the ``first`` one on."""
-        keys = self._keys if first == 0 else [(first + key[0], *key[1:]) for key in self._keys]
-        found = dict(zip(self._names, children(seed, keys), strict=True))
-        if self._faults:
-            key = (*seed.spawn_key, first + STREAMS.index("faults"))
-            own = np.random.SeedSequence(seed.entropy, spawn_key=key)  # it may spawn
-            found["faults"] = np.random.default_rng(own)
-        return found
+        return dict(zip(self.names, children(seed, self.keys, first), strict=True))
 
     def spawned(self, rng: np.random.Generator) -> Streams:
         """Return the children of a generator, which counts them as spawned."""

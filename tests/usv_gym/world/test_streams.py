@@ -30,7 +30,7 @@ def test_begin_is_a_reset_with_the_generator_of_the_seed() -> None:
     one, other = (Simulation(2, "usv75", sea, dof=6, suite="best") for _ in range(2))
     seeds = np.random.SeedSequence(9).spawn(2)
     for i, seed in enumerate(seeds):
-        one.begin(i, seed)
+        one.begin(i, one.streams.of(seed))
     other.reset(
         [0, 1], [np.random.default_rng(seed) for seed in np.random.SeedSequence(9).spawn(2)]
     )
