@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from twin.filters.linalg import cholesky, solve_factored
 from usv_kernel.arrays import flat_size, take
 from usv_kernel.jit import inlined, kernel
 
@@ -26,7 +25,6 @@ __all__ = [
     "ORDER",
     "SECTORS",
     "SECTOR_SIZE",
-    "WAVE_WORK_SIZE",
     "between",
     "fit_sector_ar",
     "fit_waves",
@@ -34,6 +32,7 @@ __all__ = [
     "heading_kernel",
     "sector_work_size",
     "simulate_waves",
+    "wave_work_size",
 ]
 
 ORDER = 6
@@ -61,24 +60,25 @@ SECTOR_SIZE = FACTOR + 9
 class WaveFitWork(NamedTuple):
     """Scratch of :func:`fit_waves`."""
 
-    G: Any  # (6, 6) products of older values
-    a: Any  # (6,) right side, then solution
-    line: Any  # (1, 6) of the factorisation
+    ahead: Any  # (N,) errors of a prediction
+    back: Any  # (N,) errors of a prediction from later to earlier
+    a: Any  # (6,) coefficients
     b: Any  # (6,) of the test of stability
 
 
 @inlined
-def _wave_fit_work(work):
-    """Open the scratch of :func:`fit_waves`."""
-    G, at = take(work, 0, (ORDER, ORDER))
+def _wave_fit_work(work, N):
+    """Open the scratch of :func:`fit_waves` for N rows."""
+    ahead, at = take(work, 0, (N,))
+    back, at = take(work, at, (N,))
     a, at = take(work, at, (ORDER,))
-    line, at = take(work, at, (1, ORDER))
     b, at = take(work, at, (ORDER,))
-    return WaveFitWork(G, a, line, b)
+    return WaveFitWork(ahead, back, a, b)
 
 
-WAVE_WORK_SIZE = flat_size(_wave_fit_work)
-"""Length of the scratch of :func:`fit_waves`."""
+def wave_work_size(N: int) -> int:
+    """Return the length of the scratch of :func:`fit_waves` for N rows."""
+    return flat_size(_wave_fit_work, N)
 
 
 class SectorWork(NamedTuple):
@@ -109,37 +109,49 @@ def _sector_work(work, N):
 
 
 @kernel
+def _burg(w, ahead, back, a):
+    """Write the autoregression (6,) that predicts a column (N,) best, both ways in time.
+
+    One way alone, a jump of the last second would be taken for growth that goes on. The ridge is
+    that of white noise added to the column.
+
+    Source: Burg 1967.
+    """
+    N, square = w.shape[0], 1e-12
+    for n in range(N):
+        ahead[n] = back[n] = w[n]
+        square += w[n] * w[n]
+    for m in range(ORDER):
+        # of the noise: products of the coefficients (1, -a)
+        both, own = 0.0, 1.0
+        for i in range(m):
+            both += a[i] * a[m - 1 - i]
+            own += a[i] * a[i]
+        both, own = RIDGE * square * both, RIDGE * square * own
+        for n in range(m + 1, N):
+            both += ahead[n] * back[n - 1]
+            own += 0.5 * (ahead[n] * ahead[n] + back[n - 1] * back[n - 1])
+        k = both / own
+        for i in range((m + 1) // 2):
+            one, two = a[i], a[m - 1 - i]
+            a[i], a[m - 1 - i] = one - k * two, two - k * one
+        a[m] = k
+        for n in range(N - 1, m, -1):
+            one, two = ahead[n], back[n - 1]
+            ahead[n], back[n] = one - k * two, two - k * one
+
+
+@kernel
 def fit_waves(w, coefficients, work):
-    """Fit a stable autoregression to each column, by least squares with a ridge.
+    """Fit a stable autoregression to each column, by Burg's method with a ridge.
 
     ``w`` (N, c) is evenly sampled and about zero, with more than twice :data:`ORDER` rows.
     ``coefficients`` (6, c), of the last value first, is written; ``work`` is scratch.
     """
-    N = w.shape[0]
-    scratch = _wave_fit_work(work)
-    G, a, b, line = scratch.G, scratch.a, scratch.b, scratch.line
+    scratch = _wave_fit_work(work, w.shape[0])
+    ahead, back, a, b = scratch.ahead, scratch.back, scratch.a, scratch.b
     for j in range(w.shape[1]):
-        # products with the newest value; those of older values differ in the first and last row
-        square = 0.0
-        for i in range(ORDER):
-            a[i] = 0.0
-        for n in range(ORDER, N):
-            square += w[n, j] * w[n, j]
-            for i in range(ORDER):
-                a[i] += w[n, j] * w[n - 1 - i, j]
-        trace = 0.0
-        for i in range(ORDER):
-            for k in range(i, ORDER):
-                before = (square if k == 0 else a[k - 1]) if i == 0 else G[i - 1, k - 1]
-                first = w[ORDER - 1 - i, j] * w[ORDER - 1 - k, j]
-                G[i, k] = before + first - w[N - 1 - i, j] * w[N - 1 - k, j]
-            trace += G[i, i]
-        for i in range(ORDER):
-            G[i, i] += RIDGE * trace / ORDER + 1e-12
-        if cholesky(G, G, line) > 0:
-            a[:] = 0.0
-        else:
-            solve_factored(G, a, a)
+        _burg(w[:, j], ahead, back, a)
         if not is_stable(a, ROOT_MAX, b):
             shrink, part = ROOT_MAX / spectral_radius(a, b), 1.0
             for i in range(ORDER):

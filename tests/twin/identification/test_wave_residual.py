@@ -18,12 +18,12 @@ from twin.identification.wave_residual import (
     ROOT_MAX,
     SECTOR_SIZE,
     SECTORS,
-    WAVE_WORK_SIZE,
     fit_sector_ar,
     fit_waves,
     forecast_waves,
     sector_work_size,
     simulate_waves,
+    wave_work_size,
 )
 
 # A wave of 4 s at 4 Hz, and faster roots: what a boat in a sea leaves, where the noise is some
@@ -47,7 +47,7 @@ def spectral_radius(a: np.ndarray) -> float:
 def fit_autoregression(w: np.ndarray) -> np.ndarray:
     """Return the coefficients (6, c) of what predicts."""
     coefficients = np.full((ORDER, w.shape[1]), math.nan)
-    fit_waves(np.ascontiguousarray(w), coefficients, np.full(WAVE_WORK_SIZE, math.nan))
+    fit_waves(np.ascontiguousarray(w), coefficients, np.full(wave_work_size(len(w)), math.nan))
     return coefficients
 
 
@@ -101,6 +101,21 @@ def test_a_known_process_is_found_again() -> None:
         # one step ahead, next to the true coefficients
         error = w[ORDER:, j] - coefficients[:, j] @ past
         assert np.std(error) < 1.05 * NOISE[j] < 0.5 * np.std(w[:, j])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    rows=st.integers(3, 7),
+    size=st.floats(0.02, 0.1),
+    power=st.floats(1.0, 2.5),
+)
+def test_jump_in_the_last_rows_does_not_go_on(seed, rows, size, power) -> None:
+    w = np.random.default_rng(seed).normal(scale=0.002, size=(320, 1))
+    w[-rows:, 0] += size * (np.arange(1, rows + 1) / rows) ** power
+    past = np.ascontiguousarray(w[: -ORDER - 1 : -1])
+    path = forecast(past, fit_autoregression(w), 40)
+    assert np.abs(path).max() <= np.abs(w).max()
 
 
 @settings(max_examples=60, deadline=None)
