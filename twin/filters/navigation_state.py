@@ -77,6 +77,9 @@ NAVIGATION = np.dtype(
         ("unchanged", "f8", 3),  # how long GPS, compass and IMU have repeated themselves, s
         ("clock", "f8"),  # time since the start, s
         ("path", "f8", 4),  # integrals of speed north and east (m), cos and sin of heading (s)
+        # integrals of cos and sin of the heading at the last fix (s), and the square of the time
+        # that north and east of the mean course until then are apart from those of the course since
+        ("turned", "f8", 4),
         ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
         ("count", "f8"),  # entries of the ring so far
         ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see navigation_ekf._present

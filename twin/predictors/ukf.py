@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, lacks_gps, lacks_imu, navigate
+from twin.filters.navigation_ekf import aid, is_ready, lacks_gps, lacks_imu, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
@@ -53,6 +53,7 @@ from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.without_gps import widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -73,10 +74,6 @@ Array = NDArray[Any]
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
-
-MODEL_DRIFT, LASTING_SHARE = 0.02, 0.25
-"""Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
-of the variance of a rough model's own velocity does, of no more than the fastest seen."""
 
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
@@ -281,7 +278,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
-    scratch, x, P = filter_workspace(work.filter, model.which.shape[1]), state.x, state.P
+    scratch, x = filter_workspace(work.filter, model.which.shape[1]), state.x
     update_wind(z, state.wind)
     _accelerations(dt, z, nav, state, given, model, scratch)
     lost = nav.gps_age + dt
@@ -297,15 +294,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         return
     correct(dt, cmd, nav, state, given, model, scratch)
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
-    if no_gps:
-        lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * given.envelope[0]) ** 2)
-        if given.rest_push < 1.0:  # rough: no population says what it leaves out
-            most = state.fastest[0] ** 2 + state.fastest[1] ** 2
-            lasting = max(lasting, LASTING_SHARE * min(P[U, U] + P[V, V], most))
-        at = N_STATES + int(model.hull[CURRENT])
-        for i in range(2):
-            more = P[at + i, at + i] if at >= N_STATES else 0.0
-            nav.P[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
+    widen_without_gps(dt, nav, state, given, model)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
         nav.since_aid = 0.0

@@ -59,7 +59,9 @@ def corrected(n=3, share=0.5, **options):
     return ResidualVecEnv(SB3VecEnv(made), base, share, len(COMPACT))
 
 
-@pytest.mark.parametrize(("algo", "base"), [("ppo-residual", "los-twin"), ("ppo-mpc", "mpc-steady")])
+@pytest.mark.parametrize(
+    ("algo", "base"), [("ppo-residual", "los-twin"), ("ppo-mpc", "mpc-steady")]
+)
 def test_an_untrained_residual_sails_as_its_controller_does(tmp_path, algo, base):
     found = learner(tmp_path, algo)
     net = found.model.policy.action_net
@@ -177,7 +179,10 @@ def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ({"residual": {"base": "los-dr"}}, "base must be one of los, los-twin, mpc-twin, mpc-steady"),
+        (
+            {"residual": {"base": "los-dr"}},
+            "base must be one of los, los-twin, mpc-twin, mpc-steady",
+        ),
         ({"residual": {"share": 0.0}}, "share above 0"),
         ({"residual": {"share": "half"}}, r"\[residual\] share = 'half': must be a number"),
         ({"residual": {"gain": 1.0}}, r"\[residual\] has no 'gain'; it has base, share"),

@@ -88,8 +88,43 @@ def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
         z[GPS] = math.nan
         twin.step(t, z, cmd)
     fastest = np.hypot(*twin.predictor.ukf.fastest[:2])
-    # half of it throughout the minute
-    assert 10.0 < twin.estimate().sd[0] < 1.1 * 0.5 * fastest * 60.0
+    # a quarter of it throughout the minute, and what a current may do in a turn
+    assert 10.0 < twin.estimate().sd[0] < (1.1 * 0.25 + 0.15) * fastest * 60.0
+
+
+def lost_otter(turned, seed, current_to=0.0):
+    """Return error (2,) and claimed deviation (2,) a minute after the last fix, m.
+
+    The otter sails north for a minute. Without GPS it then goes on, or sails back, where a current
+    that it took for drag comes from the other side.
+    """
+    commands = np.full((2400, 4), 0.0)
+    commands[:, :2] = 8.0
+    if turned:
+        commands[1240:1440, 0], commands[1240:1440, 1] = 11.5, 2.0
+    sea = SeaState(hs=0.05, wind=0.5, current=0.2, current_to=current_to)
+    vessel = Vessel.load("otter")
+    log = simulate(commands, vessel=vessel, sea=sea, duration=120.0, seed=seed)
+    twin = Twin(particulars_of(vessel), "dsw-ukf-plus")
+    for t, z, cmd in log.without_truth():
+        z = z.copy()
+        if t > 60.0:
+            z[GPS] = math.nan
+        twin.step(t, z, cmd)
+    found = twin.estimate()
+    return found.state[:2] - log.truth[-1, :2], found.sd[:2], found.state[2]
+
+
+def test_turn_without_gps_makes_a_position_less_sure():
+    straight, turned = (lost_otter(turned, 1) for turned in (False, True))
+    assert abs(straight[2]) < 0.5 < 1.0 < abs(turned[2])
+    assert np.hypot(*turned[1]) > 1.3 * np.hypot(*straight[1])
+
+
+def test_current_that_no_turn_has_shown_is_within_what_is_claimed():
+    runs = [lost_otter(True, seed, math.radians(45.0 * seed)) for seed in range(8)]
+    inside = [np.sum((error / sd) ** 2) < 4.605 for error, sd, _heading in runs]
+    assert np.mean(inside) >= 0.75
 
 
 def test_current_that_is_too_large_makes_the_gps_doubtful(log):
