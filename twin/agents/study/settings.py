@@ -98,7 +98,7 @@ class Studied:
 STUDIES = {
     "path": Studied(
         "off_path_m", "iqm", -1, "distance off the path, m (interquartile mean)",
-        ("los", "los-twin", "mpc-twin", "los-oracle"), ("los-twin", "mpc-twin"), "los-twin",
+        ("los", "los-twin", "mpc-twin", "mpc-steady", "los-oracle"), ("los-twin", "mpc-twin"), "los-twin",
         tuple(CONDITIONS),
     ),
     "docking": Studied(
