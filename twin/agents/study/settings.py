@@ -98,8 +98,8 @@ class Studied:
 STUDIES = {
     "path": Studied(
         "off_path_m", "iqm", -1, "distance off the path, m (interquartile mean)",
-        ("los", "los-twin", "mpc-twin", "mpc-steady", "los-oracle"), ("los-twin", "mpc-twin"), "los-twin",
-        tuple(CONDITIONS),
+        ("los", "los-twin", "mpc-twin", "mpc-steady", "los-oracle"), ("los-twin", "mpc-twin"),
+        "los-twin", tuple(CONDITIONS),
     ),
     "docking": Studied(
         "success", "mean", 1, "share of episodes that end at rest in the berth",
