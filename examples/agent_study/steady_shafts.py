@@ -13,7 +13,11 @@ from twin.agents.controllers import make_controller
 from twin.agents.evaluation import evaluate
 from twin.agents.study.statistics import interval, iqm
 
-CASES = ("ukf", 0.3), ("ukf", 1.0), ("ukf", 3.0), ("ukf:model=mmg", 0.3), ("ukf:model=mmg", 3.0)
+CASES = (
+    *(("ukf", effort, progress) for effort, progress in ((0.3, 1), (1, 1), (3, 1), (3, 0.5))),
+    *(("ukf:model=mmg", effort, progress) for effort, progress in ((0.3, 1), (3, 0.5))),
+)
+"""Twin, and weights of model-predictive control; with the last ones it is ``mpc-steady``."""
 WORLD = {"vessel_spread": 0.15, "wind_from_deg": "any", "current": "any", "sea": "0|2|4"}
 
 
@@ -21,12 +25,12 @@ def main(boats: int) -> None:
     """Sail as many boats in each case, and print the table."""
     seeds = range(730_000, 730_000 + boats)
     chosen = np.random.default_rng(0).integers(boats, size=(2000, boats))
-    print("| twin | effort | loss | off the path, m | less the first, 95 % |")
-    print("|---|---|---|---|---|")
+    print("| twin | effort | progress | loss | off the path, m | less the first, 95 % |")
+    print("|---|---|---|---|---|---|")
     for faults in ("none", "gps60"):
         first = None
-        for twin, effort in CASES:
-            agent = make_controller("mpc-twin", effort=effort)
+        for twin, effort, progress in CASES:
+            agent = make_controller("mpc-twin", effort=effort, progress=progress)
             rows = evaluate(
                 agent, seeds=seeds, faults=faults, twin=twin, max_episode_steps=480,
                 forecast_scores=False, **WORLD,
@@ -35,7 +39,7 @@ def main(boats: int) -> None:
             first = off if first is None else first
             low, high = interval(iqm(off[chosen]) - iqm(first[chosen]))
             cells = f"{iqm(off):.2f} | {iqm(off) - iqm(first):+.2f} [{low:+.2f}, {high:+.2f}]"
-            print(f"| `{twin}` | {effort} | {faults} | {cells} |", flush=True)
+            print(f"| `{twin}` | {effort} | {progress} | {faults} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":
