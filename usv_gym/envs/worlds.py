@@ -80,7 +80,7 @@ class Worlds:
         self._mass_varies = self._load != (1.0, 1.0)
         moved = self._heading != (0.0, 0.0) or self._mass_varies or len(vessels) > 1
         varies = spread > 0.0 or self._wind_from is not None or self._current is not None
-        self.active = varies or moved
+        self.active = bool(varies or moved)
         self.drawn: dict[str, np.ndarray] = {
             "vessel": np.full(n, vessels[0].name, dtype=object),
             "vessel_factors": np.full(n, None, dtype=object),

@@ -47,7 +47,7 @@ def assert_equals_prediction(note, twin):
     # shorter rows are the same forecast, up to the error of integration
     short_rows = twin.predict("hold")
     rows = [int(np.flatnonzero(np.isclose(short_rows.t - twin.t, h))[0]) for h in HORIZONS]
-    assert (abs(note["ahead"] - short_rows.mean[rows]) < 0.05 * sd + 1e-6).all()
+    assert (abs(note["ahead"] - short_rows.mean[rows]) < 0.07 * sd + 1e-6).all()
     np.testing.assert_allclose(sd, short_rows.sd[rows], rtol=0.05, atol=1e-6)
 
 

@@ -260,7 +260,7 @@ def test_impossible_spreads_are_refused(monkeypatch: pytest.MonkeyPatch) -> None
         with pytest.raises(VesselError, match=r"spread=.*0 or more"):
             boat.varied(rng, bad)
     # no boat is stable
-    monkeypatch.setattr(variation, "_accept", lambda *given: -1.0)
+    monkeypatch.setattr(variation, "_try", lambda *given: -1.0)
     monkeypatch.setattr(variation, "TRIES", 20)
     with pytest.raises(VesselError, match=r"usv75: none of 20 boats.*smaller spreads"):
         boat.varied(rng)
