@@ -104,8 +104,8 @@ class _Seed(ISpawnableSeedSequence):
     def spawn(self, n_children: int) -> list[_Seed]:
         """Return the next children."""
         first, self._spawned = self._spawned, self._spawned + n_children
-        own = self._own + [word for number in self._key for word in _words(number)]
-        return _seeds(own + [0] * (_POOL - len(own)), first, tuple((k,) for k in range(n_children)))
+        own = _keyed(self._own, self._key)
+        return _seeds(own, first, tuple((k,) for k in range(n_children)))
 
 
 def _words(number: int) -> list[int]:
@@ -114,6 +114,12 @@ def _words(number: int) -> list[int]:
     while number := number >> 32:
         found.append(number & 0xFFFFFFFF)
     return found
+
+
+def _keyed(own: list[int], key: tuple[int, ...]) -> list[int]:
+    """Return a parent's words with its own key, which begins where a pool of zeros would end."""
+    filled = own + [0] * (_POOL - len(own))
+    return filled + [word for number in key for word in _words(number)]
 
 
 def children(
@@ -139,11 +145,7 @@ def children(
     if not isinstance(entropy, int) or seed.pool_size != _POOL:
         whole = [(*seed.spawn_key, first + key[0], *key[1:]) for key in keys]
         return [Generator(PCG64(SeedSequence(entropy, spawn_key=key))) for key in whole]
-    own = _words(entropy)
-    # a key begins where a pool of zeros would end
-    own += [0] * (_POOL - len(own))
-    for number in seed.spawn_key:
-        own += _words(number)
+    own = _keyed(_words(entropy), seed.spawn_key)
     return [_generator(one) for one in _seeds(own, first, tuple(keys))]
 
 

@@ -95,8 +95,8 @@ def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
 def lost_otter(turned, seed, current_to=0.0):
     """Return error (2,) and claimed deviation (2,) a minute after the last fix, m.
 
-    The otter sails north for a minute. Without GPS it then goes on, or sails back, where a current
-    that it took for drag comes from the other side.
+    The otter sails north for a minute. Without GPS it then goes on, or turns by more than 60
+    degrees, where a current that it took for drag comes from another side.
     """
     commands = np.full((2400, 4), 0.0)
     commands[:, :2] = 8.0
