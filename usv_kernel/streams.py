@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
-__all__ = ["children", "seeded"]
+__all__ = ["Children", "state_of"]
 
 _POOL, _WORDS, _KEY = 4, 8, 3
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
@@ -105,7 +105,8 @@ class _Seed(ISpawnableSeedSequence):
         """Return the next children."""
         first, self._spawned = self._spawned, self._spawned + n_children
         own = _keyed(self._own, self._key)
-        return _seeds(own, first, tuple((k,) for k in range(n_children)))
+        states = _hashed(own, first, tuple((k,) for k in range(n_children)))
+        return [_Seed(state, own, (first + k,)) for k, state in enumerate(states)]
 
 
 def _words(number: int) -> list[int]:
@@ -122,52 +123,61 @@ def _keyed(own: list[int], key: tuple[int, ...]) -> list[int]:
     return filled + [word for number in key for word in _words(number)]
 
 
-def children(
-    seed: SeedSequence, keys: Sequence[tuple[int, ...]], first: int = 0
-) -> list[Generator]:
-    """Return generators of the children of a seed sequence, which does not count them.
+class Children:
+    """Children of a seed sequence, which does not count them.
 
     Parameters
     ----------
     seed : SeedSequence
         The parent.
-    keys : sequence of tuple of int
+    keys : tuple of tuple of int
         ``(k,)`` is the k-th child, ``(k, j)`` the j-th child of that, and so on, three at most.
     first : int
         The child that is counted as the 0-th one.
 
-    Returns
-    -------
-    list of Generator
-        Each equal to the one that :meth:`numpy.random.Generator.spawn` gives.
+    Attributes
+    ----------
+    states : ndarray of uint64, shape (K, 4)
+        What starts the generator of each, see :func:`usv_kernel.random.start_stream`.
     """
-    entropy = seed.entropy
-    if not isinstance(entropy, int) or seed.pool_size != _POOL:
-        whole = [(*seed.spawn_key, first + key[0], *key[1:]) for key in keys]
-        return [Generator(PCG64(SeedSequence(entropy, spawn_key=key))) for key in whole]
-    own = _keyed(_words(entropy), seed.spawn_key)
-    return [_generator(one) for one in _seeds(own, first, tuple(keys))]
+
+    def __init__(
+        self, seed: SeedSequence, keys: tuple[tuple[int, ...], ...], first: int = 0
+    ) -> None:
+        self._seed, self._keys, self._first = seed, keys, first
+        self._own: list[int] = []
+        if isinstance(seed.entropy, int) and seed.pool_size == _POOL:
+            self._own = _keyed(_words(seed.entropy), seed.spawn_key)
+            self.states = _hashed(self._own, first, keys)
+        else:
+            each = (self._by_numpy(k) for k in range(len(keys)))
+            self.states = np.array([one.generate_state(4, np.uint64) for one in each])
+
+    def _by_numpy(self, k: int) -> SeedSequence:
+        one, *more = self._keys[k]
+        key = (*self._seed.spawn_key, self._first + one, *more)
+        return SeedSequence(self._seed.entropy, spawn_key=key)
+
+    def generator(self, k: int) -> Generator:
+        """Return that of the k-th key, equal to what :meth:`numpy.random.Generator.spawn` gives."""
+        if not self._own:
+            return Generator(PCG64(self._by_numpy(k)))
+        one, *more = self._keys[k]
+        seed = _Seed(self.states[k], self._own, (self._first + one, *more))
+        return Generator(PCG64(seed))  # type: ignore[arg-type]
 
 
-def seeded(numbers: Sequence[int]) -> Generator:
-    """Return ``numpy.random.default_rng(numbers)`` of whole numbers, 0 or more."""
-    own = [word for number in numbers for word in _words(number)]
-    return _generator(_seeds(own, 0, ((),))[0])
+def state_of(numbers: Sequence[int]) -> NDArray[np.uint64]:
+    """Return what starts ``numpy.random.default_rng(numbers)``, of whole numbers, 0 or more."""
+    return _hashed([word for number in numbers for word in _words(number)], 0, ((),))[0]
 
 
-def _generator(seed: _Seed) -> Generator:
-    return Generator(PCG64(seed))  # type: ignore[arg-type]
-
-
-def _seeds(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> list[_Seed]:
-    """Return the children with keys of a parent of so many words, from the ``first`` one on."""
+def _hashed(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> NDArray[np.uint64]:
+    """Return the states (K, 4) of children of a parent of so many words, from ``first`` on."""
     padded, sizes = _arrays(keys)
     states = np.empty((len(keys) + 1, _WORDS // 2), dtype=np.uint64)
     _hash(np.array(own, dtype=np.uint64), first, padded, sizes, states)
-    return [
-        _Seed(states[i], own, (first + key[0], *key[1:]) if key else ())
-        for i, key in enumerate(keys)
-    ]
+    return states[:-1]
 
 
 @functools.lru_cache(maxsize=64)

@@ -267,7 +267,7 @@ def is_in_loss(t, row, simulation):
         there |= WIND_BIT
     if simulation.dof == 6 and simulation.suite.ahrs_share > 0.0:
         there |= AHRS_BIT
-    faults = sensor_arrays(row, simulation)[1]
+    faults = sensor_arrays(row, simulation)[0]
     for i in range(faults.shape[0]):
         fault = faults[i]
         if fault.effect == LOSS and int(fault.bits) & there and t >= fault.start:

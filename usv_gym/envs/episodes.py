@@ -36,15 +36,14 @@ from usv_gym.world.faults import CHANNELS
 from usv_gym.world.sensors import WIND_AT
 from usv_gym.world.simulation import (
     DONE,
-    NO_NUMBERS,
     NOT_FINITE,
     RAN_AWAY,
     Simulation,
     advance,
-    out_of_numbers,
     parts_of,
 )
 from usv_gym.world.state import BOAT, SIMULATION
+from usv_gym.world.streams import BoatStreams
 from usv_kernel.channels import (
     ACCEL_X,
     ACCEL_Y,
@@ -60,7 +59,7 @@ from usv_kernel.errors import check_whole
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
-from usv_kernel.streams import children
+from usv_kernel.streams import Children
 
 __all__ = [
     "BOUND",
@@ -140,6 +139,12 @@ EPISODES = np.dtype(
     ]
 )
 """What all episodes of boats of one kind share, and never changes."""
+
+
+_KEYS = (*((0, *key) for key in BoatStreams.keys), (1,), (2,))
+"""Children of a boat's generator: those of the simulation, then for the task, and for the world."""
+
+_TASK, _WORLD = len(_KEYS) - 2, len(_KEYS) - 1
 
 
 class CapsizeWarning(UserWarning):
@@ -249,8 +254,6 @@ def _step(
         for j in range(width):
             if not math.isfinite(actions[1, i, j]) and idle == 0.0:
                 return NOT_FINITE
-    if out_of_numbers(rows):
-        return NO_NUMBERS
     sound = True
     for i in range(rows.shape[0]):
         episode = as_record(episodes[i], EPISODE)
@@ -358,10 +361,6 @@ class Episodes:
                 if (found := warning_of(vessel, sea, config.dof)) is not None:
                     warnings.warn(found, CapsizeWarning, stacklevel=2)
         self.worlds = Worlds(n, config, vessels)
-        # children of a boat's generator, by what they are for; that of the simulation has its own
-        streams = self.simulation.streams
-        self._names = (*streams.names, "task", *["world"] * self.worlds.active)
-        self._keys = (*((0, *key) for key in streams.keys), (1,), *[(2,)] * self.worlds.active)
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
         self.memory = np.zeros((n, record_size(EPISODE)))
@@ -449,15 +448,15 @@ class Episodes:
         seed: Any = rng.bit_generator.seed_seq
         first = seed.n_children_spawned
         seed.spawn(2 + self.worlds.active)
-        made = dict(zip(self._names, children(seed, self._keys, first), strict=True))
-        for_task, for_world = made.pop("task"), made.pop("world", None)
-        draw = self.worlds.draw(for_world) if for_world else None
-        self.simulation.begin(i, made, draw.world if draw else None)
+        children = Children(seed, _KEYS, first)
+        draw = self.worlds.draw(children.generator(_WORLD)) if self.worlds.active else None
+        streams = self.simulation.streams.of(children)
+        self.simulation.begin(i, streams, draw.world if draw else None)
         self.worlds.note(i, draw, self.simulation)
         self.memory[i] = 0.0
         number = draw.kind if draw else 0
         kind = self.kinds[number]
-        kind.task.reset(i, for_task, draw.world.heading if draw else 0.0)
+        kind.task.reset(i, children.generator(_TASK), draw.world.heading if draw else 0.0)
         self.records[i]["kind"] = number
         self.actions[:, i] = kind.nominal_action
         _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
@@ -521,9 +520,6 @@ class Episodes:
             return self._step_blocks(obs, (left,))
         arguments = (*self._arguments[0], obs, left)
         result = _step(*arguments)
-        if result == NO_NUMBERS:
-            self.simulation.draw_numbers()
-            result = _step(*arguments)
         if result == RAN_AWAY:
             raise self.simulation.runaway()
         return bool(result == DONE)
@@ -539,8 +535,6 @@ class Episodes:
         def sail(j: int) -> None:
             block = self.blocks[j]
             for left in countdown:
-                if out_of_numbers(self.simulation.rows[block]):
-                    self.simulation.draw_numbers(block)
                 arguments = (*self._arguments[j], obs[block], left)
                 if _step(*arguments) == RAN_AWAY:
                     raise self.simulation.runaway()

@@ -22,18 +22,19 @@ from usv_gym.world.channels import (
     IMU_BIT,
     WIND_BIT,
 )
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
+from usv_kernel.random import STREAM, fill_uniform, next_word, start_stream
 from usv_kernel.records import Record
-from usv_kernel.streams import seeded
+from usv_kernel.streams import state_of
 
 __all__ = [
     "EFFECTS",
     "FAULT",
     "FAULTS_HELP",
     "FAULT_KINDS",
-    "FAULT_NUMBERS",
     "ON",
     "Bursts",
     "Disturbance",
@@ -43,14 +44,11 @@ __all__ = [
     "RandomFaults",
     "apply_faults",
     "fault_records",
-    "fault_sources",
     "ineffective_fault",
     "parse_faults",
+    "seed_faults",
     "strike",
 ]
-
-FAULT_NUMBERS = 3
-"""Uniform random numbers that each fault takes in a control step."""
 
 FAULT_KINDS = {
     "gps": GPS_BIT,
@@ -100,6 +98,7 @@ FAULT = np.dtype(
         ("bursting", float),  # 1 within a burst
         ("sizes", float, CHANNELS),  # spike of each channel, in its unit
         ("factor", float),  # of the samples, where they are scaled
+        ("stream", "u8", STREAM),  # generator of its random numbers
     ]
 )
 """A fault as kernels read and advance it."""
@@ -449,22 +448,28 @@ def fault_records(faults: Sequence[Disturbance], dt: float) -> np.ndarray:
     return records
 
 
-def fault_sources(
-    faults: Sequence[Disturbance], rng: np.random.Generator
-) -> list[np.random.Generator]:
-    """Return a generator for each fault; it stays the same whatever faults are beside it."""
-    (child,) = rng.spawn(1)
-    seed = int(child.integers(2**63))
+def seed_faults(
+    records: np.ndarray, faults: Sequence[Disturbance], rng: np.random.Generator
+) -> None:
+    """Give each record (F,) a generator; it stays the same whatever faults are beside it."""
+    seed_sequence: Any = rng.bit_generator.seed_seq
+    words = seed_sequence.spawn(1)[0].generate_state(STREAM, np.uint64)
+    seed = _first_of(words, np.empty(STREAM, np.uint64))
     seen: dict[tuple[int, ...], int] = {}
-    sources = []
-    for fault in faults:
+    for record, fault in zip(records, faults, strict=True):
         # a number that stays the same whatever other kinds there are
         bits = FAULT_KINDS[fault.kind]
         kind = bits % AHRS_BIT if fault.kind == "all" else bits
         key = (fault.code, kind, EFFECTS[fault.effect])
         seen[key] = seen.get(key, -1) + 1
-        sources.append(seeded([seed, *key, seen[key]]))
-    return sources
+        start_stream(state_of([seed, *key, seen[key]]), record["stream"])
+
+
+@kernel
+def _first_of(words: np.ndarray, stream: np.ndarray) -> int:
+    """Return the first whole number below 2^63 of the generator that is started so."""
+    start_stream(words, stream)
+    return int(next_word(stream) >> np.uint64(1))
 
 
 def apply_faults(
@@ -484,36 +489,35 @@ def apply_faults(
         return z.copy()
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
     records, out = fault_records(faults, step), z.copy()
+    seed_faults(records, faults, rng)
     if columns is None:
         behind = CHANNELS - len(SENSOR_CHANNELS) if z.shape[1] >= CHANNELS else 0
         columns = [*range(len(SENSOR_CHANNELS)), *range(-behind, 0)]
     last = np.full(len(columns), math.nan)
     samples = np.ascontiguousarray(z[:, columns])
-    numbers = np.hstack(
-        [source.random((len(t), FAULT_NUMBERS)) for source in fault_sources(faults, rng)]
-    )
     for k in range(len(t)):
-        strike(float(t[k] - t[0]), numbers[k], records, last, samples[k])
+        strike(float(t[k] - t[0]), records, last, samples[k])
     out[:, columns] = samples
     return out
 
 
 @kernel
-def strike(
-    t: float, numbers: np.ndarray, faults: np.ndarray, last: np.ndarray, z: np.ndarray
-) -> None:
+def strike(t: float, faults: np.ndarray, last: np.ndarray, z: np.ndarray) -> None:
     """Apply the faults to the samples z (8,) or (17,) of time t (s), in place; NaN: none.
 
-    ``numbers`` (3 F,) are uniform random numbers of this step, three for each fault. Faults (F,)
-    and ``last``, the samples handed out last, are advanced in place.
+    Faults (F,) and ``last``, the samples handed out last, are advanced in place. Each fault draws
+    three uniform numbers in each step.
     """
     lost, frozen = 0, 0
+    numbers = alloca_f64(3)
     for i in range(faults.shape[0]):
         fault = faults[i]
-        if not t >= fault.start:  # NaN: not used
+        if math.isnan(fault.start):  # not used
             continue
-        first = FAULT_NUMBERS * i
-        draw, hit, signs = numbers[first], numbers[first + 1], numbers[first + 2]
+        fill_uniform(fault.stream, numbers)
+        if t < fault.start:
+            continue
+        draw, hit, signs = numbers[0], numbers[1], numbers[2]
         if fault.leave > 0.0:
             bursting = draw >= fault.leave if fault.bursting > 0.0 else draw < fault.enter
             fault.bursting = 1.0 if bursting else 0.0

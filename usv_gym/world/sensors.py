@@ -54,7 +54,7 @@ NOISE = np.dtype(
         ("accel_bias", float, 2),
     ]
 )
-"""Random numbers of one control step; those of the faults follow."""
+"""Random numbers of one control step."""
 
 NOISE_SIZE = record_size(NOISE)
 
@@ -187,8 +187,8 @@ def measure(
         Time over which the mean rate is the mean, s; 0 at the start.
     suite : record of :data:`SUITE`
         Errors and rates.
-    numbers : ndarray, shape (14 + 3 F,)
-        Random numbers of this step: :data:`NOISE`, then three of [0, 1) for each fault.
+    numbers : ndarray, shape (14,)
+        Random numbers of this step, :data:`NOISE`.
     motion_numbers : ndarray, shape (13,) or (0,)
         :data:`MOTION_NOISE`; none with three degrees of freedom, whose boats have no such sensors.
     faults : ndarray of :data:`FAULT`, shape (F,)
@@ -244,7 +244,7 @@ def measure(
         for i in range(2):
             z[WIND_AT + i] = sensors.wind[i]
     if faults.shape[0] > 0:
-        strike(boat.t, numbers[NOISE_SIZE:], faults, sensors.last, boat.measurement)
+        strike(boat.t, faults, sensors.last, boat.measurement)
 
 
 @inlined

@@ -16,15 +16,16 @@ from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_wo
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import anemometer, sensors
-from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
+from usv_gym.world.faults import FAULT, Disturbance, fault_records, seed_faults
 from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
-from usv_gym.world.streams import BoatStreams, Streams
-from usv_kernel.arrays import shaped
+from usv_gym.world.streams import NOISE_STREAMS, BoatStreams, Streams
+from usv_kernel.arrays import alloca_f64, shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.random import fill_normal, start_stream
 from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.simd import padded
 
@@ -34,11 +35,10 @@ __all__ = [
     "SimulationError",
     "World",
     "advance",
-    "out_of_numbers",
 ]
 
-DONE, NOT_FINITE, NO_NUMBERS, RAN_AWAY = range(4)
-"""What became of a step: done; not done, as actions were not finite or numbers are to be drawn;
+DONE, NOT_FINITE, RAN_AWAY = range(3)
+"""What became of a step: done; not done, as actions were not finite;
 done, but a boat has run away."""
 
 DT_RANGE = 1e-4, 10.0
@@ -62,11 +62,14 @@ PLACE_MAX = 1e6
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS, FIRST_STEPS = (512, 40), 16
-"""Control steps of random numbers drawn at a time: for one boat, for each of many; at a reset."""
-
+_GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
+_MOTION_AT = sensors.NOISE_SIZE
+_WIND_NOISE_AT = _MOTION_AT + sensors.MOTION_NOISE_SIZE
+_WEATHER_AT = _WIND_NOISE_AT + anemometer.WIND_NOISE_SIZE
+_NUMBERS = _WEATHER_AT + wx.NOISE_SIZE
+"""Random numbers of a control step, those of six degrees of freedom and an anemometer included."""
 
 
 class SimulationError(UsvTwinError):
@@ -100,12 +103,14 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     boat = as_record(row, BOAT)
     waves, gusts, loads = sea_arrays(row, config)
     sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
-    numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
+    faults, delay_line, wind_line = sensor_arrays(row, config)
     vessel = ship.Ship(boat.vessel, config.dof)
     h = config.dt / config.substeps
     step = int(boat.step) + 1
-    now = numbers[step % numbers.shape[0]]
-    wx.advance_slow_wind(boat.weather, config.dt, now[now.size - 2], now[now.size - 1])
+    numbers = alloca_f64(_NUMBERS)
+    _draw_numbers(boat.streams, config, numbers)
+    slow = numbers[_WEATHER_AT], numbers[_WEATHER_AT + 1]
+    wx.advance_slow_wind(boat.weather, config.dt, slow[0], slow[1])
     mean, rate = boat.mean_rate, boat.work[0]
     mean[:] = 0.0
     for j in range(config.substeps):
@@ -114,9 +119,7 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
             mean[i] += rate[i] / config.substeps
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
-    more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
-    _measure_wind(boat, config, now, gusts, wind_line)
-    sensors.measure(boat, config.dt, config.suite, now, more, faults, delay_line)
+    _measure(config.dt, boat, config, numbers, faults, gusts, (delay_line, wind_line))
     sound = True
     for i in range(fr.STATE_SIZE):
         sound = sound and abs(boat.state[i]) < STATE_MAX
@@ -124,29 +127,33 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
 
 
 @inlined
-def _measure_wind(boat, config, numbers, gusts, line):
-    """Let the anemometer measure, if there is one."""
-    if config.wind_numbers > 0:
+def _draw_numbers(streams, config, numbers):
+    """Draw the standard normal numbers of a control step, each kind from its generator."""
+    fill_normal(streams[_GPS], shaped(numbers, 0, (_COMPASS_AT,)))
+    fill_normal(streams[_COMPASS], shaped(numbers, _COMPASS_AT, (_GYRO_AT - _COMPASS_AT,)))
+    fill_normal(streams[_IMU], shaped(numbers, _GYRO_AT, (_MOTION_AT - _GYRO_AT,)))
+    if config.dof == 6:
+        fill_normal(streams[_MOTION], shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT,)))
+    if config.suite.wind_share > 0.0:
+        wind = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
+        fill_normal(streams[_WIND], wind)
+    fill_normal(streams[_WEATHER], shaped(numbers, _WEATHER_AT, (_NUMBERS - _WEATHER_AT,)))
+
+
+@inlined
+def _measure(dt, boat, config, numbers, faults, gusts, lines):
+    """Let the sensors measure."""
+    if config.suite.wind_share > 0.0:
         air = wx.air_velocity(boat.t, gusts, boat.weather)
-        own = shaped(numbers, config.wind_numbers_at, (config.wind_numbers,))
-        anemometer.measure_wind(boat, air, config.suite, own, line)
-
-
-@kernel
-def out_of_numbers(rows: np.ndarray) -> bool:
-    """Return whether some boat needs new random numbers before its next step."""
-    out = False
-    for i in range(rows.shape[0]):
-        boat = as_record(rows[i], BOAT)
-        out = out or boat.step + 1.0 >= boat.noise_until
-    return out
+        own = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
+        anemometer.measure_wind(boat, air, config.suite, own, lines[1])
+    more = shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT if config.dof == 6 else 0,))
+    sensors.measure(boat, dt, config.suite, numbers, more, faults, lines[0])
 
 
 @kernel
 def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> int:
-    """Advance every boat; NO_NUMBERS: nothing was done, as numbers are to be drawn first."""
-    if out_of_numbers(rows):
-        return NO_NUMBERS
+    """Advance every boat."""
     sound = True
     for i in range(rows.shape[0]):
         sound = advance(rows[i], as_record(shared, SIMULATION), factors) and sound
@@ -154,13 +161,18 @@ def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> i
 
 
 @kernel
-def _start(row: np.ndarray, shared: np.ndarray, state: np.ndarray, factors: np.ndarray) -> None:
+def _start(
+    row: np.ndarray, shared: np.ndarray, noise: np.ndarray, state: np.ndarray, factors: np.ndarray
+) -> None:
     """Put a boat to its start with a state (16,), draw its slow wind, and let its sensors begin.
 
-    With six degrees of freedom it is set on the surface of its sea.
+    ``noise`` (6, 4) starts its generators. With six degrees of freedom it is set on the surface of
+    its sea.
     """
     boat, config = as_record(row, BOAT), as_record(shared, SIMULATION)
-    numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
+    faults, delay_line, wind_line = sensor_arrays(row, config)
+    for i in range(noise.shape[0]):
+        start_stream(noise[i], boat.streams[i])
     boat.t = boat.step = 0.0
     for i in range(fr.STATE_SIZE):
         boat.state[i] = state[i]
@@ -173,18 +185,19 @@ def _start(row: np.ndarray, shared: np.ndarray, state: np.ndarray, factors: np.n
     wind_line[:] = 0.0
     if config.dof == 6:
         float_on_sea(row, config, factors)
-    now = numbers[0]
-    wx.advance_slow_wind(boat.weather, math.inf, now[now.size - 2], now[now.size - 1])
-    more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
-    sensors.start_sensors(config.suite, now, boat.sensors)
+    numbers = alloca_f64(_NUMBERS)
+    _draw_numbers(boat.streams, config, numbers)
+    slow = numbers[_WEATHER_AT], numbers[_WEATHER_AT + 1]
+    wx.advance_slow_wind(boat.weather, math.inf, slow[0], slow[1])
+    sensors.start_sensors(config.suite, numbers, boat.sensors)
     if config.dof == 6:
+        more = shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT,))
         sensors.start_motion_sensors(config.suite, more, boat.sensors)
-    if config.wind_numbers > 0:
-        own = shaped(now, config.wind_numbers_at, (config.wind_numbers,))
+    if config.suite.wind_share > 0.0:
+        own = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
         anemometer.start_wind(config.suite, own, boat.sensors)
     gusts = shaped(row, config.gusts_at, (3, config.gust_components))
-    _measure_wind(boat, config, now, gusts, wind_line)
-    sensors.measure(boat, 0.0, config.suite, now, more, faults, delay_line)
+    _measure(0.0, boat, config, numbers, faults, gusts, (delay_line, wind_line))
 
 
 @kernel
@@ -304,21 +317,16 @@ class Simulation:
             )
         fault_records(fixed, dt)  # invalid combinations fail here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
-        motion_at = sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults
-        motion_numbers = sensors.MOTION_NOISE_SIZE if dof == 6 else 0
-        wind_numbers = anemometer.WIND_NOISE_SIZE if suite.has_anemometer else 0
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
         examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
-        self._block = BLOCK_STEPS[n > 1]
         width = padded(max(example.waves.shape[1] for example in examples))
         tabled = dof == 6 and vessel.hydro is not None and width > 0
         shapes = {
             "waves": (WAVE_ROWS, width),
             "gusts": max(example.gusts.shape for example in examples),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
-            "numbers": (self._block, motion_at + motion_numbers + wind_numbers + wx.NOISE_SIZE),
             "faults": (max_faults, record_size(FAULT)),
             "delay_line": (self.suite.delay_rows(dt), sensors.DELAYED),
             "wind_line": (suite.wind_rows(dt), anemometer.WIND_ROWS),
@@ -333,8 +341,6 @@ class Simulation:
         }
         self.waves, self.gusts = parts["waves"], parts["gusts"]
         self._loads = parts["loads"]
-        self._numbers, self._delay_lines = parts["numbers"], parts["delay_line"]
-        self._wind_lines = parts["wind_line"]
         self.faults = parts["faults"].view(FAULT)[..., 0]
         self.boats = structured(self.rows, BOAT)
         self.state, self.cmd = self.boats["state"], self.boats["command"]
@@ -343,9 +349,7 @@ class Simulation:
             self.boats["weather"],
             self.boats["t"],
         )
-        several, wind = len(self.seas) > 1, suite.has_anemometer
-        self.streams = BoatStreams(sea=several, motion=dof == 6, wind=wind, faults=bool(faults))
-        self._noise_until = self.boats["noise_until"]
+        self.streams = BoatStreams(wind=suite.has_anemometer)
         self.z[:] = math.nan
         self.faults["start"] = math.nan
         self._fault_rows, self._no_faults = parts["faults"], parts["faults"][0].copy()
@@ -363,18 +367,11 @@ class Simulation:
             config[f"{name}_at"] = begin
         config["wave_components"], config["gust_components"] = width, shapes["gusts"][1]
         config["load_headings"] = shapes["loads"][0]
-        config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
-        config["motion_numbers_at"], config["motion_numbers"] = motion_at, motion_numbers
-        config["wind_numbers_at"] = motion_at + motion_numbers
-        config["wind_numbers"], config["wind_rows"] = wind_numbers, shapes["wind_line"][0]
+        config["wind_rows"] = shapes["wind_line"][0]
         config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
         """Scratch of the kernels that advance boats; threads need copies."""
-        self._motion_numbers = motion_at, motion_numbers
-        self._wind_numbers = motion_at + motion_numbers, wind_numbers
-        none: tuple[Streams, list[np.random.Generator]] = {}, []
-        self._noise_rngs = [none] * n
         self._not_reset = set(range(n))
         n_start = vessel.values["shaft_speed_manoeuvring"]
         self._default_start = vessel.straight_speed(n_start), n_start
@@ -438,8 +435,8 @@ class Simulation:
                 state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
             self._begin(int(i), self.streams.spawned(rng), world, state)
 
-    def begin(self, i: int, rngs: Streams, world: World | None = None) -> None:
-        """Put boat i to its start, as :meth:`reset` does, with generators of ``streams``.
+    def begin(self, i: int, streams: Streams, world: World | None = None) -> None:
+        """Put boat i to its start, as :meth:`reset` does, with random numbers of its own.
 
         ``world`` is what differs from boat to boat.
         """
@@ -447,38 +444,38 @@ class Simulation:
         state = np.zeros(fr.STATE_SIZE)
         state[fr.PSI] = world.heading
         state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-        self._begin(i, rngs, world, state)
+        self._begin(i, streams, world, state)
 
     def _start_of(self, world: World) -> tuple[float, float, float]:
         """Return speed (m/s) and shaft speeds (rev/s) at the start."""
         n = world.vessel.values["shaft_speed_manoeuvring"]
         return world.speed, n, n
 
-    def _begin(self, i: int, rngs: Streams, world: World, state: np.ndarray) -> None:
-        """Put boat i to its start with a state (16,) and generators for what is drawn, by name."""
+    def _begin(self, i: int, streams: Streams, world: World, state: np.ndarray) -> None:
+        """Put boat i to its start with a state (16,) and what is random about it."""
         self._not_reset.discard(i)
         if self.vessels[i] is not world.vessel:
             self.vessels[i] = world.vessel
             self._packed[i] = world.vessel.packed
         several = len(self.seas) > 1
-        drawn = self.drawn_seas[i] = choice(self.seas, rngs["sea"]) if several else self.seas[0]
+        sea = choice(self.seas, streams.generator("sea")) if several else self.seas[0]
+        self.drawn_seas[i] = sea
         wind_from, current = world.wind_from, world.current
-        sea = drawn.realise(
-            world.vessel, rngs["waves"], rngs["gusts"], wind_from=wind_from, current=current
-        )
-        self._fill(i, sea)
-        given = self._given_faults
-        faults = tuple(given(rngs["faults"]) if callable(given) else given)
-        self.drawn_faults[i] = faults
+        waves, gusts = streams.generator("waves"), streams.generator("gusts")
+        self._fill(i, sea.realise(world.vessel, waves, gusts, wind_from=wind_from, current=current))
         if self.faults.shape[1]:
-            self._fault_rows[i] = self._no_faults
-            if faults:
-                records = fault_records(faults, self.dt).view(float)
-                self._fault_rows[i, : len(faults)] = records.reshape(len(faults), -1)
-        self._noise_rngs[i] = rngs, fault_sources(faults, rngs["faults"]) if faults else []
-        self._noise_until[i] = 0.0
-        self._refill(i)
-        _start(self.rows[i], self.shared, state, self.factors)
+            self._begin_faults(i, streams.generator("faults"))
+        _start(self.rows[i], self.shared, streams.noise, state, self.factors)
+
+    def _begin_faults(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the faults of boat i, if they are drawn, and write them to its arrays."""
+        given = self._given_faults
+        faults = self.drawn_faults[i] = tuple(given(rng) if callable(given) else given)
+        self._fault_rows[i] = self._no_faults
+        if faults:
+            records = fault_records(faults, self.dt)
+            seed_faults(records, faults, rng)
+            self._fault_rows[i, : len(faults)] = records.view(float).reshape(len(faults), -1)
 
     def _initial_state(
         self, speed: float | None, heading: float, at: tuple[float, float]
@@ -547,14 +544,8 @@ class Simulation:
                 f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
             )
         self.cmd[:] = cmd
-        if len(self._parts) > 1 and out_of_numbers(self.rows):
-            self.draw_numbers()
         for rows in self._parts:
-            result = _advance_all(rows, self.shared, self.factors)
-            if result == NO_NUMBERS:
-                self.draw_numbers()
-                result = _advance_all(rows, self.shared, self.factors)
-            if result == RAN_AWAY:
+            if _advance_all(rows, self.shared, self.factors) == RAN_AWAY:
                 raise self.runaway()
 
     def runaway(self) -> RunawayError:
@@ -566,31 +557,3 @@ class Simulation:
             "longer finite. Check its coefficients with usv-twin vessel check, take a smaller "
             "dt_physics or a calmer sea, and reset"
         )
-
-    def draw_numbers(self, boats: slice = slice(None)) -> None:
-        """Draw the next block of random numbers of the boats whose block is used up."""
-        some = self.boats[boats]
-        for i in np.flatnonzero(some["step"] + 1.0 >= some["noise_until"]):
-            self._refill(int(i) + (boats.start or 0))
-
-    def _refill(self, i: int) -> None:
-        """Draw the next block of random numbers of one boat, each source from its generator."""
-        rngs, rngs_faults = self._noise_rngs[i]
-        wind, motion = self._wind_numbers, self._motion_numbers
-        drawn = int(self._noise_until[i])
-        at = drawn % self._block
-        rows = self._block - at if drawn else FIRST_STEPS
-        numbers = self._numbers[i, at : at + rows]
-        gps, imu, faults = _COMPASS_AT, _GYRO_AT, sensors.NOISE_SIZE
-        numbers[:, :gps] = rngs["gps"].standard_normal((rows, gps))
-        numbers[:, gps:imu] = rngs["compass"].standard_normal((rows, imu - gps))
-        numbers[:, imu:faults] = rngs["imu"].standard_normal((rows, faults - imu))
-        for j, rng in enumerate(rngs_faults):
-            first = faults + FAULT_NUMBERS * j
-            numbers[:, first : first + FAULT_NUMBERS] = rng.random((rows, FAULT_NUMBERS))
-        if motion[1]:
-            numbers[:, motion[0] : sum(motion)] = rngs["motion"].standard_normal((rows, motion[1]))
-        if wind[1]:
-            numbers[:, wind[0] : sum(wind)] = rngs["wind"].standard_normal((rows, wind[1]))
-        numbers[:, -wx.NOISE_SIZE :] = rngs["weather"].standard_normal((rows, wx.NOISE_SIZE))
-        self._noise_until[i] += rows

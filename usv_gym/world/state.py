@@ -1,9 +1,8 @@
 """What lasts of one simulated boat, and what all boats of a simulation share.
 
-A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, random
-numbers, faults and the delay lines of the sensors. Their sizes depend on sea, faults and delay. One
-array a call keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts
-names.
+A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, faults and
+the delay lines of the sensors. Their sizes depend on sea, faults and delay. One array a call keeps
+the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts names.
 """
 
 from __future__ import annotations
@@ -18,8 +17,10 @@ from usv_gym.physics.weather import WEATHER
 from usv_gym.world.anemometer import WIND_ROWS
 from usv_gym.world.faults import CHANNELS, FAULT
 from usv_gym.world.sensors import DELAYED, SENSORS, SUITE
+from usv_gym.world.streams import NOISE_STREAMS
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined
+from usv_kernel.random import STREAM
 from usv_kernel.records import Record, as_records
 
 __all__ = ["BOAT", "SIMULATION", "sea_arrays", "sensor_arrays"]
@@ -34,7 +35,7 @@ BOAT = np.dtype(
         ("weather", WEATHER),  # wind, current, schedule
         ("t", float),  # s, since the reset
         ("step", float),  # control steps since the reset
-        ("noise_until", float),  # first step for which no random numbers have been drawn
+        ("streams", "u8", (len(NOISE_STREAMS), STREAM)),  # generators of the noise
         ("mean_rate", float, fr.STATE_SIZE),  # mean time derivative over the last step
         ("work", float, (WORK_ROWS, fr.STATE_SIZE)),  # scratch of the Runge-Kutta step
         ("vessel", PARAMETERS),  # boats of a kind may differ
@@ -54,13 +55,6 @@ SIMULATION = np.dtype(
         ("load_headings", int),
         ("gusts_at", int),
         ("gust_components", int),
-        ("numbers_at", int),  # random numbers: a block of control steps, one a row
-        ("numbers_rows", int),
-        ("numbers_width", int),
-        ("motion_numbers_at", int),  # in a row of them, those of MOTION_NOISE, if any
-        ("motion_numbers", int),
-        ("wind_numbers_at", int),  # those of WIND_NOISE, if any
-        ("wind_numbers", int),
         ("faults_at", int),
         ("fault_count", int),
         ("delay_line_at", int),
@@ -85,12 +79,9 @@ def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray,
 
 
 @inlined
-def sensor_arrays(
-    row: np.ndarray, config: Record
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return random numbers (B, W), faults (F,), delay lines (D, 15), of wind (K, 2)."""
-    numbers = shaped(row, config.numbers_at, (config.numbers_rows, config.numbers_width))
+def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return faults (F,), and delay lines of the sensors (D, 15) and of the wind (K, 2)."""
     faults = as_records(row, config.faults_at, config.fault_count, FAULT)
     delay_line = shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))
     wind_line = shaped(row, config.wind_line_at, (config.wind_rows, WIND_ROWS))
-    return numbers, faults, delay_line, wind_line
+    return faults, delay_line, wind_line

@@ -2,52 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from usv_kernel.streams import children
+from usv_kernel.streams import Children
 
-__all__ = ["STREAMS", "BoatStreams", "Streams"]
-
-Streams = dict[str, np.random.Generator]
-"""Generators by the name of what they draw."""
+__all__ = ["NOISE_STREAMS", "STREAMS", "BoatStreams", "Streams"]
 
 STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion", "wind")
 """What has a child of a boat's generator, in their order; the last with an anemometer alone."""
+
+NOISE_STREAMS = ("gps", "compass", "imu", "motion", "wind", "weather")
+"""What is drawn in each step, by kernels; the others are drawn at the start."""
+
+_KEYS = {name: (k,) for k, name in enumerate(STREAMS)}
+# with or without gusts, the slow wind is the same
+_KEYS["weather"] = (STREAMS.index("gusts"), 0)
+
+_AT_START = ("waves", "gusts", "sea", "faults")
+
+
+class Streams(NamedTuple):
+    """Random numbers of a boat."""
+
+    noise: NDArray[np.uint64]
+    """(6, 4) what starts the generators of :data:`NOISE_STREAMS`."""
+    children: Children
+    first: int
+    """Place of the first of the others among the children."""
+
+    def generator(self, name: str) -> np.random.Generator:
+        """Return the generator of what is drawn at the start: waves, gusts, sea or faults."""
+        return self.children.generator(self.first + _AT_START.index(name))
 
 
 class BoatStreams:
     """Makes the children of a boat's generator.
 
     What is switched off leaves the others as they were: each has its place.
-
-    Parameters
-    ----------
-    sea, motion, wind, faults : bool
-        Whether a sea is drawn, motion and wind are measured, and there are faults.
     """
 
-    def __init__(self, *, sea: bool, motion: bool, wind: bool, faults: bool) -> None:
-        used = {"sea": sea, "motion": motion, "wind": wind, "faults": faults}
-        # with or without gusts, the slow wind is the same
-        keys: list[tuple[int, ...]] = [(STREAMS.index("gusts"), 0)]
-        keys += [(k,) for k, name in enumerate(STREAMS) if used.get(name, True)]
-        self.keys = tuple(keys)
-        """Which children of the boat's generator these are, see :func:`children`."""
-        self.names = ("weather", *(STREAMS[key[0]] for key in keys[1:]))
+    keys = tuple(_KEYS[name] for name in (*NOISE_STREAMS, *_AT_START))
+    """Which children of the boat's generator these are, see :class:`Children`."""
+
+    def __init__(self, *, wind: bool) -> None:
         self._count = len(STREAMS) - (not wind)
 
-    def of(self, seed: np.random.SeedSequence, first: int = 0) -> Streams:
-        """Return the children of a seed sequence that are used, from the ``first`` one on."""
-        return dict(zip(self.names, children(seed, self.keys, first), strict=True))
+    def of(self, children: Children) -> Streams:
+        """Return those of children of which the first are :attr:`keys`."""
+        count = len(NOISE_STREAMS)
+        return Streams(children.states[:count], children, count)
 
     def spawned(self, rng: np.random.Generator) -> Streams:
         """Return the children of a generator, which counts them as spawned."""
         seed: Any = rng.bit_generator.seed_seq
-        if type(rng.bit_generator) is np.random.PCG64:
-            first = seed.n_children_spawned
-            seed.spawn(self._count)
-            return self.of(seed, first)
-        found = dict(zip(STREAMS, rng.spawn(self._count), strict=False))
-        return found | {"weather": found["gusts"].spawn(1)[0]}
+        first = seed.n_children_spawned
+        seed.spawn(self._count)
+        return self.of(Children(seed, self.keys, first))
