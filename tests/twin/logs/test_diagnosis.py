@@ -407,6 +407,18 @@ def test_any_columns_give_findings(data: st.DataObject, seed: int, rows: int) ->
         assert draw_check(found).startswith(b"\x89PNG") if seed % 10 == 0 else True
 
 
+@pytest.mark.parametrize("huge", [name for name in COLUMNS if name in MEASUREMENTS])
+def test_a_channel_of_absurd_size_gives_findings(huge: str) -> None:
+    rng, rows = np.random.default_rng(0), 400
+    table = {name: np.full(rows, rng.standard_normal()) for name in COLUMNS}
+    table["compass_rad"] = np.linspace(0.0, 100.0, rows)
+    table[huge] = 1e300 * rng.standard_normal(rows)
+    table["t_s"] = np.arange(rows)
+    without = {name: column for name, column in table.items() if not name.startswith("ahrs")}
+    for columns in (table, without):
+        json.dumps(diagnose(Recording.of(columns, {}, "any")).to_json(), allow_nan=False)
+
+
 def test_episodes_of_the_environment_are_sound() -> None:
     env = gym.make("USVTwin-v0", record=True)
     env.reset(seed=0)

@@ -49,6 +49,9 @@ _SLOW = 6.0
 _SHORTEST, _LONGEST = 30.0, 1800.0
 """Shorter logs say nothing, and of longer ones the first part is enough, s."""
 
+_ABSURD = 1e6
+"""No sensor of a boat says as much, in SI units and rad."""
+
 _INDEPENDENT = 0.6
 """Errors closer together say the same, s."""
 
@@ -167,13 +170,13 @@ def _signals_of(recording: Recording, mounting: Array, late: float) -> _Signals 
     imu = averaged(t_imu, imu, grid, _SMOOTH)
     velocity = averaged(t_fix - late, velocity, grid, _SMOOTH)
     heading = averaged(t_psi, np.unwrap(compass[:, 0]), grid, _SMOOTH)
-    lost = np.asarray(np.isnan(np.column_stack([imu, velocity, heading])).any(axis=1), np.bool_)
+    lost = _absurd(np.column_stack([imu, velocity, heading]))
 
     t_angle, angles = recording.samples("ahrs_roll_rad", "ahrs_pitch_rad")
     tilted = None
     if len(t_angle) >= 5 * ENOUGH:
         tilted = averaged(t_angle, angles, grid, _SMOOTH)
-        missing = np.isnan(tilted).any(axis=1)
+        missing = _absurd(tilted)
         if (missing & ~lost).mean() > 0.5:
             tilted = None
         else:
@@ -181,6 +184,11 @@ def _signals_of(recording: Recording, mounting: Array, late: float) -> _Signals 
             tilted[missing] = 0.0
     imu[lost], velocity[lost], heading[lost] = 0.0, 0.0, 0.0
     return _Signals(grid, imu, velocity, heading, tilted, lost)
+
+
+def _absurd(values: Array) -> npt.NDArray[np.bool_]:
+    """Return which rows (N, k) hold what is missing, or what no boat can measure."""
+    return np.asarray(~(np.abs(values) < _ABSURD).all(axis=1), np.bool_)
 
 
 def _equations(
