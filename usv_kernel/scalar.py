@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
@@ -33,6 +34,29 @@ def fma(typing_context, a, b, c):
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
+@intrinsic
+def _bits(typing_context, x):
+    """Return the bits of a float64 as a whole number."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], ir.IntType(64))
+
+    return types.int64(types.float64), generate
+
+
+@intrinsic
+def _flipped(typing_context, x, number):
+    """Return x, or -x where the last bit but one of a whole number is set."""
+
+    def generate(context, builder, signature, arguments):
+        whole = ir.IntType(64)
+        sign = builder.shl(builder.and_(arguments[1], whole(2)), whole(62))
+        bits = builder.xor(builder.bitcast(arguments[0], whole), sign)
+        return builder.bitcast(bits, ir.DoubleType())
+
+    return types.float64(types.float64, types.int64), generate
+
+
 # pi/2 as 33 bits and a rest: their products with an integer are exact (Cody-Waite)
 _TWO_OVER_PI = 6.36619772367581382433e-01
 
@@ -50,11 +74,9 @@ def sincos(x: float) -> tuple[float, float]:
 
     For |x| below 1e6, where the argument reduction is exact.
     """
-    n = fma(x, _TWO_OVER_PI, _ROUND) - _ROUND
+    turned = fma(x, _TWO_OVER_PI, _ROUND)
+    n = turned - _ROUND
     r = fma(-n, _PIO2_LOW, fma(-n, _PIO2_HIGH, x))
-    half = (fma(0.5, n, -0.25) + _ROUND) - _ROUND
-    odd = fma(-2.0, half, n)
-    sign = 1.0 - 2.0 * fma(-2.0, (fma(0.5, half, -0.25) + _ROUND) - _ROUND, half)
     z = r * r
     s = fma(z, -7.64716373181981647590e-13, 1.60590438368216145994e-10)
     s = fma(z, fma(z, s, -2.50521083854417187751e-08), 2.75573192239858906526e-06)
@@ -64,9 +86,11 @@ def sincos(x: float) -> tuple[float, float]:
     c = fma(z, fma(z, c, -2.75573192239858906526e-07), 2.48015873015873015873e-05)
     c = fma(z, fma(z, c, -1.38888888888888888889e-03), 4.16666666666666666667e-02)
     c = fma(z, fma(z, c, -0.5), 1.0)
-    # one of two terms is 0: sin(-x) = -sin(x) and cos(-x) = cos(x) to the bit
-    even = 1.0 - odd
-    return sign * fma(odd, c, even * s), sign * fma(-odd, s, even * c)
+    # the last two bits of a rounded number are those of the integer: the quadrant
+    quadrant = _bits(turned)
+    odd = quadrant & 1 != 0
+    sine, cosine = (c if odd else s), (s if odd else c)
+    return _flipped(sine, quadrant), _flipped(cosine, quadrant + 1)
 
 
 @inlined

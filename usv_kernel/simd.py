@@ -35,11 +35,9 @@ LANES = 16
 
 _LANES = 4
 
-_GROUP = 4
-"""Vectors that are summed side by side, so that one need not wait for the other."""
-
-_WIDE, _BLOCK = 8, 6
-"""Columns that :func:`accumulate_rows` takes at once, and rows that it holds in registers."""
+_WIDE, _GROUP, _BLOCK = 8, 6, 6
+"""Columns of the widest vectors, how many of them are summed side by side, so that one need not
+wait for the other, and rows that :func:`accumulate_rows` holds in registers."""
 
 _DOUBLE = ir.DoubleType()
 
@@ -150,20 +148,19 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
         source = _pointer(context, builder, arrays[2], rows, first)
         index = count.type
 
-        def sums(offset: Any, lanes: int, vectors: int) -> list[Any]:
-            """Return sums of some vectors from ``offset`` on, in variables of their own."""
+        def sums(offsets: list[Any], lanes: int) -> list[Any]:
+            """Return sums of vectors from each offset on, in variables of their own."""
             kind, fused = _fused(builder, lanes)
 
-            def place(base: Any, vector: int) -> Any:
-                lane = builder.add(offset, index(vector * lanes))
-                return builder.bitcast(builder.gep(base, [lane]), kind.as_pointer())
+            def place(base: Any, offset: Any) -> Any:
+                return builder.bitcast(builder.gep(base, [offset]), kind.as_pointer())
 
             zero = ir.Constant(kind, [0.0] * lanes if lanes > 1 else 0.0)
             totals = [
                 cgutils.alloca_once_value(
-                    builder, builder.load(place(target, v), align=8) if add else zero
+                    builder, builder.load(place(target, offset), align=8) if add else zero
                 )
-                for v in range(vectors)
+                for offset in offsets
             ]
             with cgutils.for_range(builder, many) as loop:
                 factor = builder.fmul(
@@ -171,35 +168,56 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
                 )
                 factor = _broadcast(builder, factor, lanes)
                 row = builder.gep(source, [builder.mul(loop.index, width)])
-                for v, total in enumerate(totals):
-                    term = builder.load(place(row, v), align=8)
+                for offset, total in zip(offsets, totals, strict=True):
+                    term = builder.load(place(row, offset), align=8)
                     builder.store(builder.call(fused, [factor, term, builder.load(total)]), total)
-            return [(place(target, v), total) for v, total in enumerate(totals)]
+            places = (place(target, offset) for offset in offsets)
+            return list(zip(places, totals, strict=True))
 
         def write(results: list[Any]) -> None:
             for where, total in results:
                 builder.store(builder.load(total), where, align=8)
 
-        def groups(lanes: int, vectors: int) -> None:
-            """Sum groups of so many vectors; the last one ends where the row does."""
-            size = index(lanes * vectors)
+        def vectors(first: Any, lanes: int, size: int) -> list[Any]:
+            return [builder.add(first, index(k * lanes)) for k in range(size)]
+
+        def overlapping(lanes: int, size: int) -> None:
+            """Sum so many vectors at once, of which the last ends where the row does."""
+            last = builder.sub(count, index(lanes))
+            write(sums([*vectors(index(0), lanes, size - 1), last], lanes))
+
+        def groups() -> None:
+            """Sum groups of vectors; the last one ends where the row does."""
+            size = index(_WIDE * _GROUP)
             end = builder.sub(count, size)
-            last = sums(end, lanes, vectors)
+            last = sums(vectors(end, _WIDE, _GROUP), _WIDE)
             with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as loop:
-                write(sums(loop[0], lanes, vectors))
+                write(sums(vectors(loop[0], _WIDE, _GROUP), _WIDE))
             write(last)
 
-        wide = builder.icmp_signed(">=", count, index(_LANES * _GROUP))
-        with builder.if_else(wide) as (then, otherwise):
-            with then:
-                groups(_LANES, _GROUP)
-            with otherwise:
+        def at_most(size: int) -> None:
+            """Sum a row that is not longer than so many vectors."""
+            if size == 0:
                 some = builder.icmp_signed(">=", count, index(_LANES))
                 with builder.if_else(some) as (few, fewer):
                     with few:
-                        groups(_LANES, 1)
+                        overlapping(_LANES, 2)
                     with fewer, cgutils.for_range(builder, count) as loop:
-                        write(sums(loop.index, 1, 1))
+                        write(sums([loop.index], 1))
+                return
+            least = _WIDE if size == 1 else _WIDE * (size - 1) + 1
+            with builder.if_else(builder.icmp_signed(">=", count, index(least))) as (yes, no):
+                with yes:
+                    overlapping(_WIDE, size)
+                with no:
+                    at_most(size - 1)
+
+        wide = builder.icmp_signed(">", count, index(_WIDE * _GROUP))
+        with builder.if_else(wide) as (then, otherwise):
+            with then:
+                groups()
+            with otherwise:
+                at_most(_GROUP)
         return context.get_dummy_value()
 
     return signature, generate

@@ -299,6 +299,7 @@ class _Learner:
     def learn(self, progress: bool = False, callback: Any = None) -> None:
         """Train to the end, or to where the callback ends it."""
         from stable_baselines3.common.callbacks import BaseCallback
+        from torch.distributions import Distribution
 
         learner = self
 
@@ -321,12 +322,17 @@ class _Learner:
             self.since = _clocks()
             # learn() would reset new boats before they are seeded; the break resets them after
             self.model._last_obs = np.empty(0)
-            self.model.learn(
-                left,
-                callback=[Breaks(), callback] if callback else Breaks(),
-                reset_num_timesteps=False,
-                progress_bar=progress,
-            )
+            # torch would check each distribution; the boats refuse an action that is no number
+            Distribution.set_default_validate_args(False)
+            try:
+                self.model.learn(
+                    left,
+                    callback=[Breaks(), callback] if callback else Breaks(),
+                    reset_num_timesteps=False,
+                    progress_bar=progress,
+                )
+            finally:
+                Distribution.set_default_validate_args(__debug__)
         self.measure()
 
     def take_break(self) -> None:

@@ -113,8 +113,12 @@ FINE_MAX, COARSE_STEP = 30.0, 10.0
 """Only the last part of a gap, s, is cut up finely; the rest into steps of this length, s. A row
 then takes no longer after an hour without rows than after half a minute."""
 
-_SHARP = 1e4
-"""A correction that shrinks a variance by more than this may leave rounding behind."""
+_SHARP = 1e6
+"""A correction that shrinks a variance by more than this may leave rounding behind. That of a gyro
+shrinks the yaw rate's by 2e4 in every row, which leaves none that counts."""
+
+_AIDED = 1e4
+"""A model shrinks no variance by more than this."""
 
 
 @kernel
@@ -125,6 +129,10 @@ def _correct(nav, work, innovation, variance, age, channel):
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
+    if variance > S:  # rounding has left no covariance
+        mend(P, work.A)
+        S = _gain(P, H, variance, gain)
+    S = max(S, variance)
     if channel >= 0:
         if innovation * innovation > GATE * GATE * S:
             nav.refused[channel] += max(1.0, REFUSED_RATE * age)
@@ -137,7 +145,7 @@ def _correct(nav, work, innovation, variance, age, channel):
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
-            S = _gain(P, H, variance, gain)
+            S = max(_gain(P, H, variance, gain), variance)
         nav.refused[channel] = 0.0
     step = innovation / S
     for i in range(N_NAV):
@@ -179,7 +187,7 @@ def _gain(P, H, variance, gain):
     combine(Strip(gain, 0, N_NAV), Factors(H, 0, 1, 1.0), Rows(P, 0, N_NAV, N_NAV))
     for i in range(N_NAV):
         S += H[i] * gain[i]
-    return max(S, variance)  # it cannot be smaller, but for rounding
+    return S
 
 
 @kernel
@@ -197,8 +205,7 @@ def aid(nav, work, entry, value, variance):
     """
     work.H[:] = 0.0
     work.H[entry] = 1.0
-    # the model's variance is bounded from below, so that the covariance needs no repair
-    variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
+    variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
 

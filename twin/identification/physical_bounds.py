@@ -79,11 +79,26 @@ def physical_bounds(
 
 
 @inlined
+def _is_physical(x, bounds):
+    """Return whether a joint vector lies within all bounds."""
+    p = x.shape[0] - N_STATES
+    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(p):  # side by side, as each sum waits for its last term
+        value = x[N_STATES + k]
+        a, b, c = a + bounds[0, k] * value, b + bounds[1, k] * value, c + bounds[2, k] * value
+        d, e, f = d + bounds[3, k] * value, e + bounds[4, k] * value, f + bounds[5, k] * value
+    low = a <= bounds[0, p] and b <= bounds[1, p] and c <= bounds[2, p]
+    return low and d <= bounds[3, p] and e <= bounds[4, p] and f <= bounds[5, p]
+
+
+@inlined
 def keep_physical(x, P, bounds, gain):
     """Cut a joint estimate off at the bounds of its parameters.
 
     ``gain`` (6 + p,) is scratch.
     """
+    if _is_physical(x, bounds):
+        return
     p = x.shape[0] - N_STATES
     for j in range(bounds.shape[0]):
         factors, value = bounds[j], 0.0

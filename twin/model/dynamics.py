@@ -76,15 +76,10 @@ def model_of(
 @inlined
 def drive(act, terms):
     """Write the terms of the actuators."""
-    thrust_terms(
-        act[0],
-        act[1],
-        math.cos(act[2]),
-        math.sin(act[2]),
-        math.cos(act[3]),
-        math.sin(act[3]),
-        terms,
-    )
+    left = right = math.cos(act[2]), math.sin(act[2])
+    if act[3] != act[2]:
+        right = math.cos(act[3]), math.sin(act[3])
+    thrust_terms(act[0], act[1], left[0], left[1], right[0], right[1], terms)
 
 
 @inlined

@@ -285,7 +285,6 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         truncations = self.episodes.steps >= self._limits
         rewards[late] = 0.0
         over = terminations | truncations
-        infos = self._infos(None) | self._drawn(late)
         if mode == AutoresetMode.SAME_STEP and over.any():
             final = np.full(self.num_envs, None, dtype=object)
             shown = self._shown()
@@ -297,6 +296,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             infos |= {"final_obs": final, "_final_obs": over.copy()}
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
+        else:
+            infos = self._infos(None) | self._drawn(late)
         self._over = over
         if self.renderer:
             self.renderer.look()

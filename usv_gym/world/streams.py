@@ -17,7 +17,7 @@ STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion",
 NOISE_STREAMS = ("gps", "compass", "imu", "motion", "wind", "weather")
 """What is drawn in each step, by kernels; the others are drawn at the start."""
 
-_KEYS = {name: (k,) for k, name in enumerate(STREAMS)}
+_KEYS: dict[str, tuple[int, ...]] = {name: (k,) for k, name in enumerate(STREAMS)}
 # with or without gusts, the slow wind is the same
 _KEYS["weather"] = (STREAMS.index("gusts"), 0)
 

@@ -11,10 +11,9 @@ from usv_gym.world import anemometer, sensors
 from usv_gym.world.channels import BITS
 from usv_gym.world.faults import (
     CHANNELS,
-    FAULT_NUMBERS,
     Disturbance,
     fault_records,
-    fault_sources,
+    seed_faults,
 )
 from usv_gym.world.state import BOAT as BOAT_RECORD
 from usv_kernel.channels import SENSOR_CHANNELS
@@ -41,9 +40,9 @@ def rows(
     anemometer, if the suite has one: 5 m/s of wind blow to the north, 4 to the east.
     """
     rng = np.random.default_rng(seed)
-    normals = rng.standard_normal((count, sensors.NOISE_SIZE))
-    draws = [s.random((count, FAULT_NUMBERS)) for s in fault_sources(faults, rng)]
-    numbers, records = np.hstack([normals, *draws]), fault_records(faults, dt)
+    numbers = rng.standard_normal((count, sensors.NOISE_SIZE))
+    records = fault_records(faults, dt)
+    seed_faults(records, faults, rng)
     motion = rng.standard_normal((count, sensors.MOTION_NOISE_SIZE if dof == 6 else 0))
     channels = sensors.WIND_AT if dof == 6 else len(SENSOR_CHANNELS)
     if suite.has_anemometer:

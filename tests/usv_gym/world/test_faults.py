@@ -27,7 +27,7 @@ from usv_gym.world.faults import (
     fault_records,
     parse_faults,
 )
-from usv_gym.world.simulation import BLOCK_STEPS, Simulation
+from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import GYRO, MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 
 
@@ -160,7 +160,7 @@ def test_recorded_measurements_with_faults() -> None:
     np.testing.assert_array_equal(apply_faults(t, z, [], rng), z)
 
 
-STEPS = 2 * BLOCK_STEPS[0] + 50
+STEPS = 1074
 
 
 def sailed(faults: Sequence[Disturbance], seed: int = 3, steps: int = STEPS) -> np.ndarray:

@@ -12,11 +12,11 @@ import pytest
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import COMPASS, GPS, IMU
-from usv_gym.world.simulation import BLOCK_STEPS, Simulation, SimulationError
+from usv_gym.world.simulation import Simulation, SimulationError
 
 BOAT = Vessel.load("usv75")
 SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)
-STEPS = BLOCK_STEPS[0] + 100  # past a new block of noise
+STEPS = 612
 CMD = np.random.default_rng(9).uniform([5, 5, -0.4, -0.4], [25, 25, 0.4, 0.4], (STEPS, 4))
 
 

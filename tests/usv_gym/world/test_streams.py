@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from usv_gym import SeaState
 from usv_gym.world.simulation import Simulation
-from usv_gym.world.streams import STREAMS, BoatStreams
+from usv_gym.world.streams import NOISE_STREAMS, STREAMS, BoatStreams
+from usv_kernel.random import STREAM, fill_normal, start_stream
+from usv_kernel.streams import Children
 
 
-@pytest.mark.parametrize("kind", [np.random.PCG64, np.random.MT19937])
-def test_streams_are_the_children_of_the_generator(kind) -> None:
-    def rng() -> np.random.Generator:
-        return np.random.Generator(kind(np.random.SeedSequence(5, spawn_key=(3,))))
-
-    ours, theirs = rng(), rng()
-    made = BoatStreams(sea=True, motion=True, wind=True, faults=True)
+def test_streams_are_the_children_of_the_generator() -> None:
+    ours, theirs = (np.random.default_rng(np.random.SeedSequence(5, spawn_key=(3,))) for _ in "ab")
+    made, stream, number = BoatStreams(wind=True), np.zeros(STREAM, np.uint64), np.zeros(1)
     for _ in range(2):  # a second time others are spawned
-        found, expected = made.spawned(ours), theirs.spawn(len(STREAMS))
-        for name, one in zip(STREAMS, expected, strict=True):
-            assert found[name].random() == one.random(), name
-        (slow,) = expected[1].spawn(1)
-        assert found["weather"].random() == slow.random()
+        found, expected = made.spawned(ours), dict(zip(STREAMS, theirs.spawn(9), strict=True))
+        (expected["weather"],) = expected["gusts"].spawn(1)
+        for name, words in zip(NOISE_STREAMS, found.noise, strict=True):
+            start_stream(words, stream)
+            fill_normal(stream, number)
+            assert number[0] == expected.pop(name).standard_normal(), name
+        for name, one in expected.items():
+            assert found.generator(name).random() == one.random(), name
+
+
+def test_a_generator_of_another_kind_has_the_same_children() -> None:
+    sequence = np.random.SeedSequence(5)
+    twister = np.random.Generator(np.random.MT19937(sequence))
+    one = BoatStreams(wind=False).spawned(twister)
+    other = BoatStreams(wind=False).spawned(np.random.default_rng(5))
+    np.testing.assert_array_equal(one.noise, other.noise)
+    assert one.generator("sea").random() == other.generator("sea").random()
+    assert sequence.n_children_spawned == 8
 
 
 def test_begin_is_a_reset_with_the_generator_of_the_seed() -> None:
@@ -30,7 +40,7 @@ def test_begin_is_a_reset_with_the_generator_of_the_seed() -> None:
     one, other = (Simulation(2, "usv75", sea, dof=6, suite="best") for _ in range(2))
     seeds = np.random.SeedSequence(9).spawn(2)
     for i, seed in enumerate(seeds):
-        one.begin(i, one.streams.of(seed))
+        one.begin(i, one.streams.of(Children(seed, one.streams.keys)))
     other.reset(
         [0, 1], [np.random.default_rng(seed) for seed in np.random.SeedSequence(9).spawn(2)]
     )
