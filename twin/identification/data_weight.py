@@ -56,6 +56,7 @@ __all__ = [
     "SelectorState",
     "TrustSelector",
     "forecast_error",
+    "linearised_at",
     "note",
     "score",
     "select_trust",
@@ -189,6 +190,16 @@ def note(start, spacing, state):
         for k in range(now.shape[1]):
             now[r, k] = state.params[r, k]
     state.count[NOTED] = start
+
+
+@inlined
+def linearised_at(state):
+    """Return the refit at whose parameters segments are linearised: that in use, or the first.
+
+    Others are no solution: a refit would start from where its data do not lead.
+    """
+    chosen = int(state.count[CHOSEN])
+    return chosen if chosen < REFITS else 0
 
 
 @inlined

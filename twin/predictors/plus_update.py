@@ -15,6 +15,7 @@ from twin.identification.data_weight import (
     CHOSEN,
     JOINT,
     SCORED,
+    linearised_at,
     note,
     score,
     select_trust,
@@ -246,7 +247,8 @@ def _take_segments(rows, window, selector, segments, nav, config, model, work):
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):
-            add(start, rows, segments.params, segments, config, model, work)
+            at = selector.params[linearised_at(selector)]
+            add(start, rows, at, segments, config, model, work)
             score(start, rows, selector, segments, config, model, work)
             slot = start // config.spacing % selector.past.shape[0]
             xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
@@ -353,7 +355,8 @@ def _refit(memory, config, work):
         note(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
         return
-    relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
+    at = selector.params[linearised_at(selector)]
+    relinearise(given.relinearised, rows, at, segments, given, model, scratch)
     row = rows[newest % rows.shape[0]]
     bounds, tight = work.waves[:3], filter_state(memory.filter, model)
     nominal = filter_config(config.filter, model).nominal
