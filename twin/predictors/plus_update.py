@@ -415,6 +415,26 @@ def _identify(lost, dt, cmd, nav, wind, memory, config, scratch):
         place_by_navigation(nav, joint)
 
 
+@inlined
+def _take_mean(state, memory, model, refit):
+    """Go on with the mean of the joint filter's parameters and those of the first refit.
+
+    Without GPS the errors of a boat that no population describes add up, and those of the two
+    differ. It is no surer than the joint filter was.
+    """
+    p = model.which.shape[1]
+    selector = selector_state(memory.selector, p, refit.steps, refit.spacing)
+    if refit.joint == NONE or selector.count[SCORED] < SEGMENTS_MIN:
+        return
+    joint, x, P = filter_state(memory.joint, model), state.x, state.P
+    for i in range(p):
+        x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
+        for k in range(N_STATES):
+            P[N_STATES + i, k] = P[k, N_STATES + i] = 0.0
+        for k in range(p):
+            P[N_STATES + i, N_STATES + k] = joint.P[N_STATES + i, N_STATES + k]
+
+
 @kernel
 def plus_step(t, dt, z, cmd, memory, config, work):
     """Take one row, as :meth:`twin.predictors.base.Predictor.update`, and refit when it is time."""
@@ -452,6 +472,8 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
+    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD and given.rest_push < 1.0:
+        _take_mean(state, memory, model, refit)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0
