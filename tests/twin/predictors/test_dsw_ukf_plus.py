@@ -12,7 +12,9 @@ import pytest
 from scipy.signal import lfilter
 
 from twin.channels import WIND_FROM, WIND_SPEED
+from twin.digital_twin import Twin
 from twin.filters.navigation_state import NAVIGATION
+from twin.identification.data_weight import CHOSEN, REFITS, linearised_at
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
@@ -24,13 +26,14 @@ from twin.identification.prediction_error import (
     refit_config,
 )
 from twin.identification.wave_residual import FACTOR, ORDER, SECTORS, simulate_waves
-from twin.logs.log import Log
+from twin.logs.log import Log, recorded_runs
 from twin.model.rollout import GRID, SWAY_INERTIA_RATIO
 from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_forecast import past_waves
 from twin.predictors.plus_update import (
+    GAP_GOOD,
     OBSERVER_GAIN,
     WINDOW,
     PlusMemory,
@@ -42,7 +45,7 @@ from twin.predictors.plus_update import (
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_kernel.jit import kernel
-from usv_kernel.records import as_record
+from usv_kernel.records import as_record, structured
 
 PLAN = np.tile([20.0, 20.0, 0.2, 0.2], (40, 1))
 
@@ -557,3 +560,33 @@ def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, na
         assert -1e-9 <= part <= 1.0 + 1e-9
         check(predictor)
         predictor.ukf.x[:] = kept
+
+
+def test_without_gps_the_mean_of_joint_filter_and_refit_goes_on() -> None:
+    path = recorded_runs()["boat1_usv_circle"]
+    log = Log.read(path)
+    twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")), "dsw-ukf-plus")
+    predictor = twin.predictor
+    assert isinstance(predictor, PlusPredictor)
+    lost, before = log.t[0] + 60.0, math.inf
+    for t, z, cmd in log:
+        blind = np.array(z)
+        if t >= lost:
+            blind[:4] = math.nan
+        twin.step(t, blind, cmd)
+        if structured(predictor.memory.nav[None], NAVIGATION)["gps_age"][0] > GAP_GOOD:
+            break
+        before = predictor.ukf.xi.copy()
+    mean = 0.5 * (predictor.joint.xi + predictor.selector.params[0])
+    np.testing.assert_array_equal(predictor.ukf.xi, mean)
+    assert np.abs(mean - before).max() > 1e-3
+    twin.step(t + 0.1, blind, cmd)  # and goes on from there
+    assert np.isfinite(predictor.ukf.xi).all()
+
+
+def test_segments_are_linearised_at_a_refit_whatever_is_in_use() -> None:
+    predictor = PlusPredictor(particulars_of(Vessel.load("usv75")))
+    state = predictor.selector.state
+    for chosen in range(len(state.params)):
+        state.count[CHOSEN] = chosen
+        assert linearised_at.py_func(state) == (chosen if chosen < REFITS else 0)
