@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.model.structure import N_TERMS
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import kernel
 
 __all__ = [
@@ -58,10 +60,13 @@ def accumulate(gram, terms, which, seconds):
     It is the integral of phi phi' over time; its lower triangle is added to. ``which`` (k,) says
     which of the terms (m,) of the moment are the regressors phi.
     """
+    seen = alloca_f64(N_TERMS)  # in a row, for vector instructions
+    for k in range(which.shape[0]):
+        seen[k] = terms[which[k]]
     for i in range(which.shape[0]):
-        weight = seconds * terms[which[i]]
-        for k in range(i + 1):
-            gram[i, k] += weight * terms[which[k]]
+        weight, row = seconds * seen[i], gram[i, : i + 1]
+        for k in range(row.shape[0]):
+            row[k] += weight * seen[k]
 
 
 @dataclass(frozen=True)

@@ -151,15 +151,12 @@ class CapsizeWarning(UserWarning):
     """The vessel will capsize in this sea, as far as a minute of it shows."""
 
 
-@kernel
-def observe(
-    boat: Record, episode: Record, points: np.ndarray, config: Record, o: np.ndarray
-) -> None:
-    """Hold the last sample of each sensor of one boat, and write the observation from it."""
+@inlined
+def _hold(boat, episode, points, config):
+    """Hold the last sample of each sensor of one boat, and follow its path as known on board."""
     z, held, age, errors = boat.measurement, episode.held, episode.age, episode.known_errors
-    rules, dt = config.rules, config.simulation.dt
-    for j in range(3):
-        age[j] += dt
+    for j in range(age.shape[0]):
+        age[j] += config.simulation.dt
     if math.isfinite(z[GPS_X]):
         age[0] = 0.0
         for j in range(COMPASS):
@@ -171,11 +168,31 @@ def observe(
         age[2] = 0.0
         for j in range(GYRO, _GYRO_X):
             held[j] = z[j]
-    leg = int(episode.task.known_leg)
-    leg = follow(held[GPS_X], held[GPS_Y], held[COMPASS], points, leg, rules.reach, errors)
+    if config.simulation.dof == 6:
+        if math.isfinite(z[_GYRO_X]):
+            for j in range(_GYRO_X, _AHRS_ROLL):
+                held[j] = z[j]
+        if math.isfinite(z[_AHRS_ROLL]):
+            age[3] = 0.0
+            for j in range(_AHRS_ROLL, _GPS_Z):
+                held[j] = z[j]
+        if math.isfinite(z[_GPS_Z]):
+            for j in range(_GPS_Z, WIND_AT):
+                held[j] = z[j]
+    if config.wind_at > 0.0 and math.isfinite(z[WIND_AT]):
+        age[4] = 0.0
+        held[WIND_AT], held[WIND_AT + 1] = z[WIND_AT], z[WIND_AT + 1]
+    leg, reach = int(episode.task.known_leg), config.rules.reach
+    leg = follow(held[GPS_X], held[GPS_Y], held[COMPASS], points, leg, reach, errors)
     episode.task.known_leg = leg
+
+
+@kernel
+def _describe(boat: Record, episode: Record, config: Record, o: np.ndarray) -> None:
+    """Write the observation of one boat from the samples that are held."""
+    held, age, errors, rules = episode.held, episode.age, episode.known_errors, config.rules
     # new since the last decision, and there was one at all
-    fresh = (min(config.frames - 1.0, boat.step) + 0.5) * dt
+    fresh = (min(config.frames - 1.0, boat.step) + 0.5) * config.simulation.dt
     s, c = sincos(held[COMPASS])
     o[_COS_HEADING], o[_SIN_HEADING], o[_YAW_RATE] = c, s, held[GYRO]
     o[_ACCEL_FORWARD], o[_ACCEL_STARBOARD] = held[ACCEL_X] / GRAVITY, held[ACCEL_Y] / GRAVITY
@@ -191,43 +208,28 @@ def observe(
     o[_SIN_COURSE_ERROR], o[_COS_COURSE_ERROR] = sincos(errors[COURSE_ERROR])
     o[_SIN_NEXT_TURN], o[_COS_NEXT_TURN] = sincos(errors[NEXT_TURN])
     if config.simulation.dof == 6:
-        _observe_motion(z, held, age, fresh, dt, o[len(OBSERVATION) :])
+        _describe_motion(held, age[3], fresh, o[len(OBSERVATION) :])
     if config.wind_at > 0.0:
-        _observe_wind(z, held, age, fresh, dt, o[int(config.wind_at) :])
+        _describe_wind(held, age[4], fresh, o[int(config.wind_at) :])
     for j in range(int(config.entries)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
 
 
 @inlined
-def _observe_motion(z, held, age, fresh, dt, o):
-    """Hold the last samples of roll, pitch and heave, and write their entries."""
-    age[3] += dt
-    if math.isfinite(z[_GYRO_X]):
-        for j in range(_GYRO_X, _AHRS_ROLL):
-            held[j] = z[j]
-    if math.isfinite(z[_AHRS_ROLL]):
-        age[3] = 0.0
-        for j in range(_AHRS_ROLL, _GPS_Z):
-            held[j] = z[j]
-    if math.isfinite(z[_GPS_Z]):
-        for j in range(_GPS_Z, WIND_AT):
-            held[j] = z[j]
+def _describe_motion(held, age, fresh, o):
+    """Write the entries of roll, pitch and heave."""
     o[0], o[1], o[2] = held[_GYRO_X], held[_GYRO_X + 1], held[_GYRO_X + 2] / GRAVITY
     o[3], o[4] = held[_AHRS_ROLL] / TILT_SCALE, held[_AHRS_ROLL + 1] / TILT_SCALE
     o[5], o[6] = held[_GPS_Z] / 10.0, held[_GPS_Z + 1]
-    o[7], o[8] = 1.0 if age[3] < fresh else 0.0, age[3] / AGE_SCALE
+    o[7], o[8] = 1.0 if age < fresh else 0.0, age / AGE_SCALE
 
 
 @inlined
-def _observe_wind(z, held, age, fresh, dt, o):
-    """Hold the last sample of the apparent wind, and write its entries: where it comes from."""
-    age[4] += dt
-    if math.isfinite(z[WIND_AT]):
-        age[4] = 0.0
-        held[WIND_AT], held[WIND_AT + 1] = z[WIND_AT], z[WIND_AT + 1]
+def _describe_wind(held, age, fresh, o):
+    """Write the entries of the apparent wind: where it comes from."""
     side, ahead = sincos(held[WIND_AT + 1])
     o[0], o[1] = held[WIND_AT] * ahead / WIND_SCALE, held[WIND_AT] * side / WIND_SCALE
-    o[2], o[3] = 1.0 if age[4] < fresh else 0.0, age[4] / AGE_SCALE
+    o[2], o[3] = 1.0 if age < fresh else 0.0, age / AGE_SCALE
 
 
 @kernel
@@ -240,12 +242,14 @@ def _step(
     actions: np.ndarray,
     obs: np.ndarray,
     left: int,
+    look: bool,
 ) -> int:
     """Take one step of every boat that is not idle; unless it returns DONE, nothing was done.
 
     ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES, one
     row for each kind of boat. ``actions`` (2, n, A) holds the action of the last step, and this
-    one. ``left`` is how many steps of this decision follow.
+    one. ``left`` is how many steps of this decision follow. Without ``look`` only boats whose episode
+    ends now are observed.
     """
     first = left + 1 == int(as_record(shared[0], EPISODES).frames)
     width = actions.shape[2]
@@ -275,7 +279,9 @@ def _step(
             episode.task.reward = 0.0
         path, rules = points[i], config.rules
         score_step(boat.state, boat.mean_rate, action, before, path, rules, episode.task)
-        observe(boat, episode, points[i], config, obs[i])
+        _hold(boat, episode, points[i], config)
+        if look or episode.task.terminated != 0.0:
+            _describe(boat, episode, config, obs[i])
         for j in range(width):
             before[j] = action[j]
         if episode.task.terminated != 0.0:
@@ -289,7 +295,9 @@ def _observe(
 ) -> None:
     """Write the observation of one boat, from flat memory."""
     boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
-    observe(boat, memory, points, as_record(shared[int(memory.kind)], EPISODES), obs)
+    config = as_record(shared[int(memory.kind)], EPISODES)
+    _hold(boat, memory, points, config)
+    _describe(boat, memory, config, obs)
 
 
 class Kind(NamedTuple):
@@ -518,7 +526,8 @@ class Episodes:
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if len(self.blocks) > 1:
             return self._step_blocks(obs, (left,))
-        arguments = (*self._arguments[0], obs, left)
+        # a task of one's own may end the episode after any step
+        arguments = (*self._arguments[0], obs, left, left == 0 or self._own)
         result = _step(*arguments)
         if result == RAN_AWAY:
             raise self.simulation.runaway()
@@ -535,7 +544,7 @@ class Episodes:
         def sail(j: int) -> None:
             block = self.blocks[j]
             for left in countdown:
-                arguments = (*self._arguments[j], obs[block], left)
+                arguments = (*self._arguments[j], obs[block], left, left == 0 or self._own)
                 if _step(*arguments) == RAN_AWAY:
                     raise self.simulation.runaway()
                 for one in watching:
