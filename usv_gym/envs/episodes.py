@@ -248,8 +248,8 @@ def _step(
 
     ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES, one
     row for each kind of boat. ``actions`` (2, n, A) holds the action of the last step, and this
-    one. ``left`` is how many steps of this decision follow. Without ``look`` only boats whose episode
-    ends now are observed.
+    one. ``left`` is how many steps of this decision follow. Without ``look`` only boats whose
+    episode ends now are observed.
     """
     first = left + 1 == int(as_record(shared[0], EPISODES).frames)
     width = actions.shape[2]
