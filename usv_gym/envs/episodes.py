@@ -43,7 +43,7 @@ from usv_gym.world.simulation import (
     parts_of,
 )
 from usv_gym.world.state import BOAT, SIMULATION
-from usv_gym.world.streams import BoatStreams
+from usv_gym.world.streams import KEYS, Streams
 from usv_kernel.channels import (
     ACCEL_X,
     ACCEL_Y,
@@ -141,7 +141,7 @@ EPISODES = np.dtype(
 """What all episodes of boats of one kind share, and never changes."""
 
 
-_KEYS = (*((0, *key) for key in BoatStreams.keys), (1,), (2,))
+_KEYS = (*((0, *key) for key in KEYS), (1,), (2,))
 """Children of a boat's generator: those of the simulation, then for the task, and for the world."""
 
 _TASK, _WORLD = len(_KEYS) - 2, len(_KEYS) - 1
@@ -458,8 +458,7 @@ class Episodes:
         seed.spawn(2 + self.worlds.active)
         children = Children(seed, _KEYS, first)
         draw = self.worlds.draw(children.generator(_WORLD)) if self.worlds.active else None
-        streams = self.simulation.streams.of(children)
-        self.simulation.begin(i, streams, draw.world if draw else None)
+        self.simulation.begin(i, Streams(children), draw.world if draw else None)
         self.worlds.note(i, draw, self.simulation)
         self.memory[i] = 0.0
         number = draw.kind if draw else 0

@@ -21,7 +21,7 @@ from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
-from usv_gym.world.streams import NOISE_STREAMS, BoatStreams, Streams
+from usv_gym.world.streams import NOISE_STREAMS, Streams, spawned
 from usv_kernel.arrays import alloca_f64, shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import inlined, kernel
@@ -279,8 +279,6 @@ class Simulation:
         What the kernels take; see :mod:`usv_gym.world.state`.
     config, shared : record of SIMULATION, ndarray
         What all boats share, and the same as flat memory for kernels.
-    streams : BoatStreams
-        Makes the generators of a boat.
     """
 
     def __init__(
@@ -349,7 +347,6 @@ class Simulation:
             self.boats["weather"],
             self.boats["t"],
         )
-        self.streams = BoatStreams(wind=suite.has_anemometer)
         self.z[:] = math.nan
         self.faults["start"] = math.nan
         self._fault_rows, self._no_faults = parts["faults"], parts["faults"][0].copy()
@@ -433,7 +430,8 @@ class Simulation:
             state[fr.PSI] = world.heading
             if speed is None:
                 state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-            self._begin(int(i), self.streams.spawned(rng), world, state)
+            streams = spawned(rng, wind=self.suite.has_anemometer)
+            self._begin(int(i), streams, world, state)
 
     def begin(self, i: int, streams: Streams, world: World | None = None) -> None:
         """Put boat i to its start, as :meth:`reset` does, with random numbers of its own.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.streams import Children
 
-__all__ = ["NOISE_STREAMS", "STREAMS", "BoatStreams", "Streams"]
+__all__ = ["KEYS", "NOISE_STREAMS", "STREAMS", "Streams", "spawned"]
 
 STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion", "wind")
 """What has a child of a boat's generator, in their order; the last with an anemometer alone."""
@@ -17,47 +17,39 @@ STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion",
 NOISE_STREAMS = ("gps", "compass", "imu", "motion", "wind", "weather")
 """What is drawn in each step, by kernels; the others are drawn at the start."""
 
-_KEYS: dict[str, tuple[int, ...]] = {name: (k,) for k, name in enumerate(STREAMS)}
-# with or without gusts, the slow wind is the same
-_KEYS["weather"] = (STREAMS.index("gusts"), 0)
-
 _AT_START = ("waves", "gusts", "sea", "faults")
+
+_PLACES: dict[str, tuple[int, ...]] = {name: (k,) for k, name in enumerate(STREAMS)}
+# with or without gusts, the slow wind is the same
+_PLACES["weather"] = (STREAMS.index("gusts"), 0)
+
+KEYS = tuple(_PLACES[name] for name in (*NOISE_STREAMS, *_AT_START))
+"""Children of a boat's generator, see :class:`Children`. What is switched off leaves the others as
+they were: each has its place."""
 
 
 class Streams(NamedTuple):
     """Random numbers of a boat."""
 
-    noise: NDArray[np.uint64]
-    """(6, 4) what starts the generators of :data:`NOISE_STREAMS`."""
     children: Children
-    first: int
-    """Place of the first of the others among the children."""
+    """Those of which the first are :data:`KEYS`."""
+
+    @property
+    def noise(self) -> NDArray[np.uint64]:
+        """What starts the generators of :data:`NOISE_STREAMS`, shape (6, 4)."""
+        return self.children.states[: len(NOISE_STREAMS)]
 
     def generator(self, name: str) -> np.random.Generator:
         """Return the generator of what is drawn at the start: waves, gusts, sea or faults."""
-        return self.children.generator(self.first + _AT_START.index(name))
+        return self.children.generator(len(NOISE_STREAMS) + _AT_START.index(name))
 
 
-class BoatStreams:
-    """Makes the children of a boat's generator.
+def spawned(rng: np.random.Generator, *, wind: bool) -> Streams:
+    """Return children of a generator, which counts them as spawned.
 
-    What is switched off leaves the others as they were: each has its place.
+    ``wind`` says whether there is an anemometer.
     """
-
-    keys = tuple(_KEYS[name] for name in (*NOISE_STREAMS, *_AT_START))
-    """Which children of the boat's generator these are, see :class:`Children`."""
-
-    def __init__(self, *, wind: bool) -> None:
-        self._count = len(STREAMS) - (not wind)
-
-    def of(self, children: Children) -> Streams:
-        """Return those of children of which the first are :attr:`keys`."""
-        count = len(NOISE_STREAMS)
-        return Streams(children.states[:count], children, count)
-
-    def spawned(self, rng: np.random.Generator) -> Streams:
-        """Return the children of a generator, which counts them as spawned."""
-        seed: Any = rng.bit_generator.seed_seq
-        first = seed.n_children_spawned
-        seed.spawn(self._count)
-        return self.of(Children(seed, self.keys, first))
+    seed: Any = rng.bit_generator.seed_seq
+    first = seed.n_children_spawned
+    seed.spawn(len(STREAMS) - (not wind))
+    return Streams(Children(seed, KEYS, first))
