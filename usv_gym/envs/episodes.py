@@ -132,6 +132,7 @@ EPISODES = np.dtype(
         ("simulation", SIMULATION),
         ("rules", RULES),
         ("frames", float),  # control steps of a decision
+        ("own_task", float),  # 1 where Python rates the steps
         ("entries", float),  # of the sensors in an observation
         ("wind_at", float),  # the first of them that an anemometer adds; 0: there is none
         ("scale", float, COMMAND_SIZE),  # command of a full action: rev/s, rad
@@ -242,13 +243,12 @@ def _step(
     actions: np.ndarray,
     obs: np.ndarray,
     left: int,
-    look: bool,
 ) -> int:
     """Take one step of every boat that is not idle; unless it returns DONE, nothing was done.
 
     ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES, one
     row for each kind of boat. ``actions`` (2, n, A) holds the action of the last step, and this
-    one. ``left`` is how many steps of this decision follow. Without ``look`` only boats whose
+    one. ``left`` is how many steps of this decision follow; before the last, only boats whose
     episode ends now are observed.
     """
     first = left + 1 == int(as_record(shared[0], EPISODES).frames)
@@ -280,7 +280,8 @@ def _step(
         path, rules = points[i], config.rules
         score_step(boat.state, boat.mean_rate, action, before, path, rules, episode.task)
         _hold(boat, episode, points[i], config)
-        if look or episode.task.terminated != 0.0:
+        # a task of one's own says later that the episode is over
+        if left == 0 or episode.task.terminated != 0.0 or config.own_task > 0.0:
             _describe(boat, episode, config, obs[i])
         for j in range(width):
             before[j] = action[j]
@@ -389,6 +390,7 @@ class Episodes:
             v, mixing = kind.vessel.values, _mixing(kind.vessel, config)
             row["simulation"], row["rules"] = self.simulation.config, kind.task.rules
             row["frames"], row["wind_at"] = self.frame_skip, wind_at
+            row["own_task"] = kind.task.is_own
             row["entries"], row["mixing"][:, : self.width] = len(self.observation), mixing
             n_max = v["shaft_speed_service"]
             row["scale"] = n_max, n_max, *2 * (kind.vessel.helm_max,)
@@ -525,8 +527,7 @@ class Episodes:
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if len(self.blocks) > 1:
             return self._step_blocks(obs, (left,))
-        # a task of one's own may end the episode after any step
-        arguments = (*self._arguments[0], obs, left, left == 0 or self._own)
+        arguments = (*self._arguments[0], obs, left)
         result = _step(*arguments)
         if result == RAN_AWAY:
             raise self.simulation.runaway()
@@ -543,7 +544,7 @@ class Episodes:
         def sail(j: int) -> None:
             block = self.blocks[j]
             for left in countdown:
-                arguments = (*self._arguments[j], obs[block], left, left == 0 or self._own)
+                arguments = (*self._arguments[j], obs[block], left)
                 if _step(*arguments) == RAN_AWAY:
                     raise self.simulation.runaway()
                 for one in watching:
