@@ -258,3 +258,31 @@ def test_paths_of_docking_are_as_its_class_says() -> None:
         lengths, courses = np.hypot(*legs.T) / 6.0, np.arctan2(legs[:, 1], legs[:, 0])
         assert 5.0 <= lengths[0] <= 9.0 and 4.0 <= lengths[1] <= 6.0
         assert np.abs(np.diff([0.0, *courses])).max() <= math.radians(60.0) + 1e-9
+
+
+class Short(Line):
+    """Over after a fixed time, amid a decision."""
+
+    def score(self, step):
+        score, over = super().score(step), step.t > 0.62
+        return Score(score.terms, over, over)
+
+
+@pytest.mark.parametrize("task", [Short, "path"])
+def test_the_last_observation_is_of_the_step_that_ends_the_episode(task) -> None:
+    """Steps of ten and of one control step see the same, but for what is new since the last."""
+    seen = []
+    for frames in (10, 1):
+        env = USVEnv(task=task, sea="2", frame_skip=frames)
+        env.reset(seed=3)
+        over, k = False, 0
+        while not over:  # full turns leave the path
+            obs, _, over, _, info = env.step([1.0, 1.0])
+            k += 1
+            assert k < 20000
+        names = env.unwrapped.observation_names
+        kept = [j for j, name in enumerate(names) if not name.endswith("_valid")]
+        seen.append((obs[kept], info["t_s"]))
+        env.close()
+    np.testing.assert_array_equal(seen[0][0], seen[1][0])
+    assert seen[0][1] == seen[1][1]
