@@ -276,8 +276,8 @@ def test_the_last_observation_is_of_the_step_that_ends_the_episode(task) -> None
         env = USVEnv(task=task, sea="2", frame_skip=frames)
         env.reset(seed=3)
         over, k = False, 0
-        while not over:  # full turns leave the path
-            obs, _, over, _, info = env.step([1.0, 1.0])
+        while not over:  # straight on leaves the path
+            obs, _, over, _, info = env.step([1.0, 0.0])
             k += 1
             assert k < 20000
         names = env.unwrapped.observation_names
