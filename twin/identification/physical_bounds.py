@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.model.structure import N_STATES, N_TERMS, Structure, state_terms, thrust_terms
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
 
 __all__ = ["BOUNDS", "keep_physical", "physical_bounds"]
@@ -81,14 +82,15 @@ def physical_bounds(
 @inlined
 def _is_physical(x, bounds):
     """Return whether a joint vector lies within all bounds."""
-    p = x.shape[0] - N_STATES
-    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(p):  # side by side, as each sum waits for its last term
-        value = x[N_STATES + k]
-        a, b, c = a + bounds[0, k] * value, b + bounds[1, k] * value, c + bounds[2, k] * value
-        d, e, f = d + bounds[3, k] * value, e + bounds[4, k] * value, f + bounds[5, k] * value
-    low = a <= bounds[0, p] and b <= bounds[1, p] and c <= bounds[2, p]
-    return low and d <= bounds[3, p] and e <= bounds[4, p] and f <= bounds[5, p]
+    p, sums, within = x.shape[0] - N_STATES, alloca_f64(BOUNDS), True
+    for j in range(BOUNDS):
+        sums[j] = 0.0
+    for k in range(p):
+        for j in range(BOUNDS):  # side by side, as each sum waits for its last term
+            sums[j] += bounds[j, k] * x[N_STATES + k]
+    for j in range(BOUNDS):
+        within = within and sums[j] <= bounds[j, p]
+    return within
 
 
 @inlined

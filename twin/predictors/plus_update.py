@@ -334,6 +334,16 @@ def _fit_waves(rows, window, config, work):
     fit_waves(w, window.wave_ar[:], scratch.fit)
 
 
+@inlined
+def _give_covariance(cov, P):
+    """Write the covariance (p, p) of parameters, which then say nothing of the state."""
+    for i in range(cov.shape[0]):
+        for k in range(N_STATES):
+            P[N_STATES + i, k] = P[k, N_STATES + i] = 0.0
+        for k in range(cov.shape[0]):
+            P[N_STATES + i, N_STATES + k] = cov[i, k]
+
+
 @kernel
 def _refit(memory, config, work):
     """Bring segments, waves and refits up to date, and write the best parameters to the filter."""
@@ -370,13 +380,9 @@ def _refit(memory, config, work):
         for i in range(p):
             for k in range(p):
                 segments.cov[i, k] = joint.P[N_STATES + i, N_STATES + k]
-    x, P = tight.x, tight.P
     for i in range(p):
-        x[N_STATES + i] = segments.params[i]
-        for k in range(N_STATES):
-            P[N_STATES + i, k] = P[k, N_STATES + i] = 0.0
-        for k in range(p):
-            P[N_STATES + i, N_STATES + k] = segments.cov[i, k]
+        tight.x[N_STATES + i] = segments.params[i]
+    _give_covariance(segments.cov, tight.P)
 
 
 @inlined
@@ -426,13 +432,10 @@ def _take_mean(state, memory, model, refit):
     selector = selector_state(memory.selector, p, refit.steps, refit.spacing)
     if refit.joint == NONE or selector.count[SCORED] < SEGMENTS_MIN:
         return
-    joint, x, P = filter_state(memory.joint, model), state.x, state.P
+    joint = filter_state(memory.joint, model)
     for i in range(p):
-        x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
-        for k in range(N_STATES):
-            P[N_STATES + i, k] = P[k, N_STATES + i] = 0.0
-        for k in range(p):
-            P[N_STATES + i, N_STATES + k] = joint.P[N_STATES + i, N_STATES + k]
+        state.x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
+    _give_covariance(joint.P[N_STATES:, N_STATES:], state.P)
 
 
 @kernel
