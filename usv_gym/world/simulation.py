@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
 from usv_gym.world.streams import NOISE_STREAMS, Streams, spawned
-from usv_kernel.arrays import alloca_f64, shaped
+from usv_kernel.arrays import alloca_f64, shaped, take
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.random import fill_normal, start_stream
@@ -65,10 +65,9 @@ _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
-_MOTION_AT = sensors.NOISE_SIZE
-_WIND_NOISE_AT = _MOTION_AT + sensors.MOTION_NOISE_SIZE
-_WEATHER_AT = _WIND_NOISE_AT + anemometer.WIND_NOISE_SIZE
-_NUMBERS = _WEATHER_AT + wx.NOISE_SIZE
+_NUMBERS = (
+    sensors.NOISE_SIZE + sensors.MOTION_NOISE_SIZE + anemometer.WIND_NOISE_SIZE + wx.NOISE_SIZE
+)
 """Random numbers of a control step, those of six degrees of freedom and an anemometer included."""
 
 
@@ -107,10 +106,8 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     vessel = ship.Ship(boat.vessel, config.dof)
     h = config.dt / config.substeps
     step = int(boat.step) + 1
-    numbers = alloca_f64(_NUMBERS)
-    _draw_numbers(boat.streams, config, numbers)
-    slow = numbers[_WEATHER_AT], numbers[_WEATHER_AT + 1]
-    wx.advance_slow_wind(boat.weather, config.dt, slow[0], slow[1])
+    noise = _draw_noise(boat.streams, config, alloca_f64(_NUMBERS))
+    wx.advance_slow_wind(boat.weather, config.dt, noise.weather[0], noise.weather[1])
     mean, rate = boat.mean_rate, boat.work[0]
     mean[:] = 0.0
     for j in range(config.substeps):
@@ -119,36 +116,46 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
             mean[i] += rate[i] / config.substeps
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
-    _measure(config.dt, boat, config, numbers, faults, gusts, (delay_line, wind_line))
+    _measure(config.dt, boat, config, noise, faults, gusts, (delay_line, wind_line))
     sound = True
     for i in range(fr.STATE_SIZE):
         sound = sound and abs(boat.state[i]) < STATE_MAX
     return sound
 
 
-@inlined
-def _draw_numbers(streams, config, numbers):
-    """Draw the standard normal numbers of a control step, each kind from its generator."""
-    fill_normal(streams[_GPS], shaped(numbers, 0, (_COMPASS_AT,)))
-    fill_normal(streams[_COMPASS], shaped(numbers, _COMPASS_AT, (_GYRO_AT - _COMPASS_AT,)))
-    fill_normal(streams[_IMU], shaped(numbers, _GYRO_AT, (_MOTION_AT - _GYRO_AT,)))
-    if config.dof == 6:
-        fill_normal(streams[_MOTION], shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT,)))
-    if config.suite.wind_share > 0.0:
-        wind = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
-        fill_normal(streams[_WIND], wind)
-    fill_normal(streams[_WEATHER], shaped(numbers, _WEATHER_AT, (_NUMBERS - _WEATHER_AT,)))
+class _Noise(NamedTuple):
+    """Standard normal numbers of a control step."""
+
+    sensors: Any  # (14,) see sensors.NOISE
+    motion: Any  # (13,) see sensors.MOTION_NOISE; (0,) with three degrees of freedom
+    wind: Any  # (4,) see anemometer.WIND_NOISE; (0,) without an anemometer
+    weather: Any  # (2,) of the slow wind
 
 
 @inlined
-def _measure(dt, boat, config, numbers, faults, gusts, lines):
+def _draw_noise(streams, config, numbers):
+    """Draw noise into scratch, each kind from its generator."""
+    own, at = take(numbers, 0, (sensors.NOISE_SIZE,))
+    motion, at = take(numbers, at, (sensors.MOTION_NOISE_SIZE if config.dof == 6 else 0,))
+    wind_size = anemometer.WIND_NOISE_SIZE if config.suite.wind_share > 0.0 else 0
+    wind, at = take(numbers, at, (wind_size,))
+    weather, at = take(numbers, at, (wx.NOISE_SIZE,))
+    fill_normal(streams[_GPS], own[:_COMPASS_AT])
+    fill_normal(streams[_COMPASS], own[_COMPASS_AT:_GYRO_AT])
+    fill_normal(streams[_IMU], own[_GYRO_AT:])
+    fill_normal(streams[_MOTION], motion)
+    fill_normal(streams[_WIND], wind)
+    fill_normal(streams[_WEATHER], weather)
+    return _Noise(own, motion, wind, weather)
+
+
+@inlined
+def _measure(dt, boat, config, noise, faults, gusts, lines):
     """Let the sensors measure."""
-    if config.suite.wind_share > 0.0:
+    if noise.wind.shape[0] > 0:
         air = wx.air_velocity(boat.t, gusts, boat.weather)
-        own = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
-        anemometer.measure_wind(boat, air, config.suite, own, lines[1])
-    more = shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT if config.dof == 6 else 0,))
-    sensors.measure(boat, dt, config.suite, numbers, more, faults, lines[0])
+        anemometer.measure_wind(boat, air, config.suite, noise.wind, lines[1])
+    sensors.measure(boat, dt, config.suite, noise.sensors, noise.motion, faults, lines[0])
 
 
 @kernel
@@ -162,17 +169,17 @@ def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> i
 
 @kernel
 def _start(
-    row: np.ndarray, shared: np.ndarray, noise: np.ndarray, state: np.ndarray, factors: np.ndarray
+    row: np.ndarray, shared: np.ndarray, starts: np.ndarray, state: np.ndarray, factors: np.ndarray
 ) -> None:
     """Put a boat to its start with a state (16,), draw its slow wind, and let its sensors begin.
 
-    ``noise`` (6, 4) starts its generators. With six degrees of freedom it is set on the surface of
+    ``starts`` (6, 4) starts its generators. With six degrees of freedom it is set on the surface of
     its sea.
     """
     boat, config = as_record(row, BOAT), as_record(shared, SIMULATION)
     faults, delay_line, wind_line = sensor_arrays(row, config)
-    for i in range(noise.shape[0]):
-        start_stream(noise[i], boat.streams[i])
+    for i in range(starts.shape[0]):
+        start_stream(starts[i], boat.streams[i])
     boat.t = boat.step = 0.0
     for i in range(fr.STATE_SIZE):
         boat.state[i] = state[i]
@@ -185,19 +192,15 @@ def _start(
     wind_line[:] = 0.0
     if config.dof == 6:
         float_on_sea(row, config, factors)
-    numbers = alloca_f64(_NUMBERS)
-    _draw_numbers(boat.streams, config, numbers)
-    slow = numbers[_WEATHER_AT], numbers[_WEATHER_AT + 1]
-    wx.advance_slow_wind(boat.weather, math.inf, slow[0], slow[1])
-    sensors.start_sensors(config.suite, numbers, boat.sensors)
+    noise = _draw_noise(boat.streams, config, alloca_f64(_NUMBERS))
+    wx.advance_slow_wind(boat.weather, math.inf, noise.weather[0], noise.weather[1])
+    sensors.start_sensors(config.suite, noise.sensors, boat.sensors)
     if config.dof == 6:
-        more = shaped(numbers, _MOTION_AT, (_WIND_NOISE_AT - _MOTION_AT,))
-        sensors.start_motion_sensors(config.suite, more, boat.sensors)
-    if config.suite.wind_share > 0.0:
-        own = shaped(numbers, _WIND_NOISE_AT, (_WEATHER_AT - _WIND_NOISE_AT,))
-        anemometer.start_wind(config.suite, own, boat.sensors)
+        sensors.start_motion_sensors(config.suite, noise.motion, boat.sensors)
+    if noise.wind.shape[0] > 0:
+        anemometer.start_wind(config.suite, noise.wind, boat.sensors)
     gusts = shaped(row, config.gusts_at, (3, config.gust_components))
-    _measure(0.0, boat, config, numbers, faults, gusts, (delay_line, wind_line))
+    _measure(0.0, boat, config, noise, faults, gusts, (delay_line, wind_line))
 
 
 @kernel
