@@ -10,16 +10,28 @@ Marsaglia and Tsang 2000 (The Ziggurat Method). The tables of the ziggurat are N
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["STREAM", "fill_normal", "fill_uniform", "next_word", "start_stream"]
+__all__ = [
+    "STREAM",
+    "below",
+    "borrowed_stream",
+    "fill_normal",
+    "fill_uniform",
+    "next_word",
+    "start_stream",
+]
 
 STREAM = 4
 """Words of the state of a generator."""
@@ -27,6 +39,7 @@ STREAM = 4
 _MULT_HIGH, _MULT_LOW = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
 _ZERO, _ONE, _EIGHT, _ELEVEN = np.uint64(0), np.uint64(1), np.uint64(8), np.uint64(11)
 _TURN, _ALL, _63 = np.uint64(58), np.uint64(64), np.uint64(63)
+_HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
 _LAYER, _FRACTION = np.uint64(0xFF), np.uint64(0x000FFFFFFFFFFFFF)
 
 _TABLES = np.load(Path(__file__).parent / "ziggurat.npy")
@@ -93,6 +106,25 @@ def next_word(stream: np.ndarray) -> np.uint64:
 
 
 @kernel
+def below(stream: np.ndarray, count: int) -> int:
+    """Return a whole number below ``count``, as :meth:`numpy.random.Generator.integers` draws it.
+
+    NumPy takes a word in two halves. So one number is drawn from a generator, after uniform and
+    normal ones.
+
+    Source: Lemire 2019 (Fast Random Integer Generation in an Interval).
+    """
+    size = np.uint64(count)
+    least = (_LOW + _ONE - size) % size
+    while True:
+        word = next_word(stream)
+        for half in (word & _LOW, word >> _HALF):
+            product = half * size
+            if product & _LOW >= least:
+                return np.int64(product >> _HALF)
+
+
+@kernel
 def fill_uniform(stream: np.ndarray, out: np.ndarray) -> None:
     """Write random numbers of [0, 1), as :meth:`numpy.random.Generator.random` draws them."""
     for k in range(out.shape[0]):
@@ -133,3 +165,21 @@ def _tail(stream: np.ndarray) -> float:
         y = -math.log1p(-_share(next_word(stream)))
         if y + y > x * x:
             return _TAIL + x
+
+
+@contextmanager
+def borrowed_stream(rng: np.random.Generator) -> Iterator[NDArray[np.uint64]]:
+    """Lend the state (4,) of a generator to kernels, and let it go on where they end.
+
+    ValueError: it is no PCG64, which :func:`numpy.random.default_rng` makes.
+    """
+    generator: Any = rng.bit_generator
+    kept = generator.state
+    if kept["bit_generator"] != "PCG64":
+        raise ValueError(f"{rng!r}: use a generator of numpy.random.default_rng(seed)")
+    numbers = kept["state"]["state"], kept["state"]["inc"]
+    stream = np.array([part for one in numbers for part in divmod(one, 2**64)], np.uint64)
+    yield stream
+    high, low = stream[:2].tolist()
+    kept["state"]["state"] = (high << 64) | low
+    generator.state = kept

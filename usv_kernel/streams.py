@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
-__all__ = ["Children", "state_of"]
+__all__ = ["Children", "hash_numbers", "state_of"]
 
 _POOL, _WORDS, _KEY = 4, 8, 3
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
@@ -39,6 +39,52 @@ def _mix(x: np.uint64, y: np.uint64) -> np.uint64:
 
 
 @kernel
+def _hash_child(
+    entropy: np.ndarray, first: int, key: np.ndarray, pool: np.ndarray, out: np.ndarray
+) -> None:
+    """Write the state (4,) of one child; see :func:`_hash`. ``pool`` (4,) is scratch."""
+    own = entropy.shape[0]
+    count = own + key.shape[0]
+    const = _INIT_A
+    for i in range(max(count, _POOL)):
+        word = np.uint64(0)
+        if i < own:
+            word = entropy[i]
+        elif i < count:
+            word = key[i - own]
+            word += np.uint64(first if i == own else 0)
+        # the first fill the pool, and all others are mixed into each of it
+        for j in range(1 if i < _POOL else _POOL):
+            value = (word ^ const) & _MASK
+            const = (const * _MULT_A) & _MASK
+            value = (value * const) & _MASK
+            value ^= value >> _SHIFT
+            if i < _POOL:
+                pool[i] = value
+            else:
+                pool[j] = _mix(pool[j], value)
+        if i == _POOL - 1:
+            for source in range(_POOL):
+                for target in range(_POOL):
+                    if source != target:
+                        value = (pool[source] ^ const) & _MASK
+                        const = (const * _MULT_A) & _MASK
+                        value = (value * const) & _MASK
+                        value ^= value >> _SHIFT
+                        pool[target] = _mix(pool[target], value)
+    const = _INIT_B
+    for i in range(_WORDS):
+        value = (pool[i % _POOL] ^ const) & _MASK
+        const = (const * _MULT_B) & _MASK
+        value = (value * const) & _MASK
+        value ^= value >> _SHIFT
+        if i % 2 == 0:
+            out[i // 2] = value
+        else:
+            out[i // 2] |= value << np.uint64(32)
+
+
+@kernel
 def _hash(
     entropy: np.ndarray, first: int, keys: np.ndarray, sizes: np.ndarray, out: np.ndarray
 ) -> None:
@@ -49,46 +95,25 @@ def _hash(
     hold 32 bits but for the states.
     """
     pool = out[keys.shape[0]]
-    own = entropy.shape[0]
     for child in range(keys.shape[0]):
-        count = own + int(sizes[child])
-        const = _INIT_A
-        for i in range(max(count, _POOL)):
-            word = np.uint64(0)
-            if i < own:
-                word = entropy[i]
-            elif i < count:
-                word = keys[child, i - own]
-                word += np.uint64(first if i == own else 0)
-            # the first fill the pool, and all others are mixed into each of it
-            for j in range(1 if i < _POOL else _POOL):
-                value = (word ^ const) & _MASK
-                const = (const * _MULT_A) & _MASK
-                value = (value * const) & _MASK
-                value ^= value >> _SHIFT
-                if i < _POOL:
-                    pool[i] = value
-                else:
-                    pool[j] = _mix(pool[j], value)
-            if i == _POOL - 1:
-                for source in range(_POOL):
-                    for target in range(_POOL):
-                        if source != target:
-                            value = (pool[source] ^ const) & _MASK
-                            const = (const * _MULT_A) & _MASK
-                            value = (value * const) & _MASK
-                            value ^= value >> _SHIFT
-                            pool[target] = _mix(pool[target], value)
-        const = _INIT_B
-        for i in range(_WORDS):
-            value = (pool[i % _POOL] ^ const) & _MASK
-            const = (const * _MULT_B) & _MASK
-            value = (value * const) & _MASK
-            value ^= value >> _SHIFT
-            if i % 2 == 0:
-                out[child, i // 2] = value
-            else:
-                out[child, i // 2] |= value << np.uint64(32)
+        _hash_child(entropy, first, keys[child, : int(sizes[child])], pool, out[child])
+
+
+@kernel
+def hash_numbers(numbers: np.ndarray, scratch: np.ndarray, state: np.ndarray) -> None:
+    """Write what starts ``numpy.random.default_rng(numbers)``; see :func:`state_of`.
+
+    Of the numbers only the first may have more than 32 bits. ``scratch`` (3, 8) and ``state`` (4,)
+    are uint64, as all.
+    """
+    words, count = scratch[0], 1
+    words[0] = numbers[0] & _MASK
+    if numbers[0] > _MASK:
+        words[1], count = numbers[0] >> np.uint64(32), 2
+    for number in numbers[1:]:
+        words[count] = number
+        count += 1
+    _hash_child(words[:count], 0, scratch[1, :0], scratch[2], state)
 
 
 class _Seed(ISpawnableSeedSequence):

@@ -27,7 +27,7 @@ from usv_gym.envs.scoring import (
     score_step,
 )
 from usv_gym.envs.tasks import Step, Task, make_task
-from usv_gym.envs.worlds import Worlds, check_tables, faults_of, vessels_of
+from usv_gym.envs.worlds import Worlds, check_tables, faults_of, note_drawn, vessels_of
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.runaway import check_motion
@@ -42,7 +42,8 @@ from usv_gym.world.simulation import (
     advance,
     parts_of,
 )
-from usv_gym.world.state import BOAT, SIMULATION
+from usv_gym.world.start import SEA
+from usv_gym.world.state import BOAT, SIMULATION, WORLD
 from usv_gym.world.streams import KEYS, Streams
 from usv_kernel.channels import (
     ACCEL_X,
@@ -291,12 +292,22 @@ def _step(
 
 
 @kernel
-def _observe(
-    row: np.ndarray, episode: np.ndarray, points: np.ndarray, shared: np.ndarray, obs: np.ndarray
+def _begin(
+    row: np.ndarray,
+    episode: np.ndarray,
+    points: np.ndarray,
+    shared: np.ndarray,
+    notes: tuple[np.ndarray, np.ndarray, np.ndarray],
+    obs: np.ndarray,
 ) -> None:
-    """Write the observation of one boat, from flat memory."""
+    """Write the first observation of one boat, from flat memory, and note what was drawn.
+
+    ``notes`` hold flat memory of WORLD, that of SEA for each sea state, and the numbers of DRAWN.
+    """
     boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
+    begin = as_record(notes[0], WORLD)
     config = as_record(shared[int(memory.kind)], EPISODES)
+    note_drawn(boat, begin, as_record(notes[1][int(begin.sea)], SEA), notes[2])
     _hold(boat, memory, points, config)
     _describe(boat, memory, config, obs)
 
@@ -351,14 +362,14 @@ class Episodes:
         check_whole("num_threads", threads, 1, THREADS_MAX)
         vessels, self.seas = vessels_of(config), config.seas()
         self.vessel = vessels[0]
-        given, most = faults_of(config)
+        self.worlds = Worlds(n, config, vessels)
         self.simulation = Simulation(
             n,
             self.vessel,
             self.seas,
             suite=config.suite,
-            faults=given,
-            max_faults=most,
+            faults=faults_of(config),
+            kinds=self.worlds.kinds,
             dof=config.dof,
             dt=config.dt,
             dt_physics=config.dt_physics,
@@ -369,7 +380,6 @@ class Episodes:
             for sea in self.seas:
                 if (found := warning_of(vessel, sea, config.dof)) is not None:
                     warnings.warn(found, CapsizeWarning, stacklevel=2)
-        self.worlds = Worlds(n, config, vessels)
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
         self.memory = np.zeros((n, record_size(EPISODE)))
@@ -458,17 +468,18 @@ class Episodes:
         seed: Any = rng.bit_generator.seed_seq
         first = seed.n_children_spawned
         seed.spawn(2 + self.worlds.active)
-        children = Children(seed, _KEYS, first)
-        draw = self.worlds.draw(children.generator(_WORLD)) if self.worlds.active else None
-        self.simulation.begin(i, Streams(children), draw.world if draw else None)
-        self.worlds.note(i, draw, self.simulation)
+        children, sim = Children(seed, _KEYS, first), self.simulation
+        number = self.worlds.draw(children.states[_WORLD], i, sim) if self.worlds.active else 0
+        sim.begin(i, Streams(children))
+        if sim.fault_sets.most > 0:
+            self.worlds.note_faults(i, sim)
+        kind, world = self.kinds[number], sim.world_rows[i]
         self.memory[i] = 0.0
-        number = draw.kind if draw else 0
-        kind = self.kinds[number]
-        kind.task.reset(i, children.generator(_TASK), draw.world.heading if draw else 0.0)
         self.records[i]["kind"] = number
+        kind.task.reset(i, children, _TASK, sim.worlds["heading"].item(i))
         self.actions[:, i] = kind.nominal_action
-        _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
+        notes = world, sim.sea_rows, self.worlds.numbers[i]
+        _begin(sim.rows[i], self.memory[i], self.task.points[i], self.shared, notes, obs)
 
     def step(self, obs: np.ndarray, callbacks: Sequence[StepCallback] = ()) -> bool:
         """Take the steps of one decision by ``actions[1]``.

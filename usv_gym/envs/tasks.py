@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +23,12 @@ from usv_gym.envs.scoring import (
     TaskError,
     path_errors,
 )
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.errors import check_number, did_you_mean
 from usv_kernel.files import import_named
+from usv_kernel.jit import kernel
+from usv_kernel.random import fill_uniform, start_stream
+from usv_kernel.streams import Children
 
 __all__ = [
     "TASKS",
@@ -41,6 +45,13 @@ __all__ = [
     "WayPoints",
     "make_task",
 ]
+
+Ranges = Sequence[tuple[float, float, float]]
+
+LEGS_MAX = 16
+"""Most legs that are drawn by ranges."""
+
+_DRAWS_MAX = 2 * LEGS_MAX
 
 SEAKEEPING_TIME = 110.0
 """Time to sail the path of the task ``seakeeping`` at the nominal speed, s."""
@@ -167,15 +178,26 @@ class Task:
             self.rules["weights"][self.terms.index(name)] = weight
         self.points = np.zeros((n, self.legs + 1, 2))
         self.records = np.zeros(n, TASK)
+        ranges = self.ranges() if type(self).path is Task.path else None
+        self._ranges = None if ranges is None else _checked(ranges)
 
     @property
     def errors(self) -> np.ndarray:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
         return self.records["errors"]
 
-    def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
-        """Draw the path of boat i, which starts at the origin with a heading (rad)."""
-        points = np.asarray(self.path(rng), dtype=float)
+    def reset(self, i: int, children: Children, number: int, heading: float = 0.0) -> None:
+        """Draw the path of boat i, which starts at the origin with a heading (rad).
+
+        The generator is the child of that number.
+        """
+        self.records[i] = 0.0
+        errors = self.records["errors"][i]
+        if self._ranges is not None:
+            words = children.states[number]
+            _draw_path(words, self._ranges, heading, self.points[i], errors)
+            return
+        points = np.asarray(self.path(children.generator(number)), dtype=float)
         if points.shape != self.points.shape[1:] or not np.isfinite(points).all():
             raise TaskError(
                 f"{type(self).__name__}.path gave an array of shape {points.shape}: must be finite "
@@ -186,15 +208,28 @@ class Task:
             north, east = points.T
             points = np.stack([c * north - s * east, s * north + c * east], axis=1)
         self.points[i] = points
-        self.records[i] = 0.0
-        path_errors(0.0, 0.0, heading, self.points[i], 0, self.records["errors"][i])
+        path_errors(0.0, 0.0, heading, self.points[i], 0, errors)
 
     def path(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a path (legs + 1, 2), m north and east: the boat starts at (0, 0), heading north.
 
-        Randomness comes from ``rng`` alone. Errors and observations follow from the path.
+        Randomness comes from ``rng`` alone. Errors and observations follow from the path. Those of
+        this package that draw each leg by :meth:`ranges` do so in compiled code.
         """
-        raise TaskError(f"{type(self).__name__} must draw its path: override path(self, rng)")
+        ranges = self.ranges()
+        if ranges is None:
+            raise TaskError(f"{type(self).__name__} must draw its path: override path(self, rng)")
+        points = np.zeros((self.legs + 1, 2))
+        chain_legs(rng.random(2 * self.legs), _checked(ranges), 0.0, points)
+        return points
+
+    def ranges(self) -> Ranges | None:
+        """Return how each leg is drawn; None: :meth:`path` is overridden.
+
+        Three numbers for each: the largest turn before it to either side, degrees, and its shortest
+        and longest length, m. The first turn is that from the first heading.
+        """
+        return None
 
     def score(self, step: Step) -> Score | None:
         """Rate one step of all boats; None: it is rated in compiled code, by ``kind``.
@@ -233,12 +268,47 @@ class Task:
         return type(self).score is not Task.score
 
 
+def _checked(ranges: Ranges) -> np.ndarray:
+    """Return the ranges of legs as kernels read them; TaskError: there are too many."""
+    if len(ranges) > LEGS_MAX:
+        raise TaskError(f"ranges of {len(ranges)} legs: {LEGS_MAX} at most; override path instead")
+    return np.array(ranges, dtype=float)
+
+
+@kernel
+def chain_legs(u: np.ndarray, ranges: np.ndarray, course: float, points: np.ndarray) -> None:
+    """Write way points (K + 1, 2) from uniform numbers (2 K or more), for a first heading, rad."""
+    count = ranges.shape[0]
+    points[0] = 0.0
+    for k in range(count):
+        turn, low, high = ranges[k]
+        course += math.radians(-turn + 2.0 * turn * u[k])
+        length = low + (high - low) * u[count + k]
+        points[k + 1, 0] = points[k, 0] + length * math.cos(course)
+        points[k + 1, 1] = points[k, 1] + length * math.sin(course)
+
+
+@kernel
+def _draw_path(
+    words: np.ndarray, ranges: np.ndarray, heading: float, points: np.ndarray, errors: np.ndarray
+) -> None:
+    """Draw a path for a first heading, and write the errors there.
+
+    ``words`` (4,) start a generator, and become it.
+    """
+    u = alloca_f64(_DRAWS_MAX)
+    start_stream(words, words)
+    fill_uniform(words, u[: 2 * ranges.shape[0]])
+    chain_legs(u, ranges, heading, points)
+    path_errors(0.0, 0.0, heading, points, 0, errors)
+
+
 class FreeManoeuvre(Task):
     """No goal, no reward, no end but capsizing; the path ahead is a line to the north."""
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        return np.array([[0.0, 0.0], [1e4, 0.0]])
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        return [(0.0, 1e4, 1e4)]
 
 
 class PathFollowing(Task):
@@ -256,21 +326,19 @@ class PathFollowing(Task):
     kind = PATH
     legs = 6
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        turns = np.radians(rng.uniform(-70.0, 70.0, self.legs))
-        turns[0] *= 0.3  # the boat starts heading north
-        return _chain(np.cumsum(turns), self.length * rng.uniform(10.0, 20.0, self.legs))
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        low, high = 10.0 * self.length, 20.0 * self.length
+        return [(21.0, low, high)] + [(70.0, low, high)] * (self.legs - 1)
 
 
 class WayPoints(PathFollowing):
     """Visit way points anywhere around, 12 to 30 lengths apart: turns of up to 140 degrees."""
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        turns = np.radians(rng.uniform(-140.0, 140.0, self.legs))
-        turns[0] *= 0.3
-        return _chain(np.cumsum(turns), self.length * rng.uniform(12.0, 30.0, self.legs))
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        low, high = 12.0 * self.length, 30.0 * self.length
+        return [(42.0, low, high)] + [(140.0, low, high)] * (self.legs - 1)
 
 
 class Curves(PathFollowing):
@@ -325,10 +393,10 @@ class Seakeeping(PathFollowing):
     loose = 3.0
     area = 10.0
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        course = np.radians(rng.uniform(-60.0, 60.0, 1))
-        return _chain(course, np.array([SEAKEEPING_TIME * self.rules["speed"]]))
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        length = SEAKEEPING_TIME * self.rules["speed"].item()
+        return [(60.0, length, length)]
 
 
 class StationKeeping(Task):
@@ -345,10 +413,9 @@ class StationKeeping(Task):
     terms = ("distance", "speed", "effort", "failure")
     area = 10.0
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        course = np.radians(rng.uniform(-90.0, 90.0, 1))
-        return _chain(course, self.length * rng.uniform(4.0, 8.0, 1))
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        return [(90.0, 4.0 * self.length, 8.0 * self.length)]
 
 
 class Docking(Task):
@@ -371,11 +438,10 @@ class Docking(Task):
     terms = ("distance", "speed", "effort", "failure", "heading")
     legs = 2
 
-    def path(self, rng: np.random.Generator) -> np.ndarray:
-        """See :meth:`Task.path`."""
-        courses = np.cumsum(np.radians(rng.uniform(-60.0, 60.0, 2)))
-        lengths = np.array([rng.uniform(5.0, 9.0), rng.uniform(4.0, 6.0)])
-        return _chain(courses, self.length * lengths)
+    def ranges(self) -> Ranges:
+        """See :meth:`Task.ranges`."""
+        L = self.length
+        return [(60.0, 5.0 * L, 9.0 * L), (60.0, 4.0 * L, 6.0 * L)]
 
 
 def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:

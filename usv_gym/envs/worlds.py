@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.vessel.variation import FACTORS, BoatClass, Factors
+from usv_gym.physics.parameters import PARAMETERS
+from usv_gym.vessel.variation import (
+    FACTORS,
+    LAW,
+    BoatClass,
+    Factors,
+    draw_boat,
+    scratch_of_draws,
+)
 from usv_gym.vessel.vessel import Vessel, VesselError
 from usv_gym.world.faults import (
     Disturbance,
     FaultError,
     FaultWarning,
     fault_records,
-    fault_text,
     ineffective_fault,
     parse_faults,
 )
-from usv_gym.world.sea import choice
 from usv_gym.world.sensors import SensorSuite
-from usv_gym.world.simulation import Simulation, World
+from usv_gym.world.simulation import Simulation
+from usv_gym.world.start import FaultSets
+from usv_gym.world.state import BOAT, WORLD
+from usv_kernel.arrays import alloca_f64
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.random import fill_uniform, start_stream
+from usv_kernel.records import as_record, field_at, record_size
 
-__all__ = ["Draw", "Worlds", "faults_of"]
+__all__ = ["DRAWN", "Worlds", "faults_of", "note_drawn"]
 
 FAULT_START = (10.0, 60.0)
 """A fault given by its name begins at random between these times, s."""
@@ -40,16 +52,62 @@ _KIND, _LOAD, _WIND_FROM, _CURRENT, _CURRENT_TO, _HEADING = range(6)
 _NUMBERS = 6
 """Uniform numbers of an episode: all are drawn, so that none hangs on which options are set."""
 
+_VESSEL_AT, _VESSEL_SIZE = field_at(BOAT, "vessel"), record_size(PARAMETERS)
 
-class Draw(NamedTuple):
-    """What one episode has."""
+_FACTORS = slice(field_at(WORLD, "factors"), field_at(WORLD, "factors") + len(FACTORS))
 
-    kind: int
-    """Place of the vessel among those of which one is drawn."""
-    world: World
-    factors: np.ndarray
-    """Of the boat, see :data:`usv_gym.vessel.variation.FACTORS`."""
-    load: float
+_UNDRAWN = (math.nan, math.nan)
+
+
+@inlined
+def _within(span, share):
+    """Return a number of a range, by its share of the way."""
+    return span[0] if span[0] == span[1] else span[0] + share * (span[1] - span[0])
+
+
+@kernel
+def _draw(
+    words: np.ndarray,
+    spans: np.ndarray,
+    laws: np.ndarray,
+    row: np.ndarray,
+    world: np.ndarray,
+    scratch: np.ndarray,
+) -> float:
+    """Draw what one episode has, and return the speed of its boat, or why there is none.
+
+    ``words`` (4,) start its generator, and become it. ``spans`` (6, 2) are ranges; NaN: not drawn.
+    ``laws`` (K, ...), ``row`` and ``world`` are flat memory of LAW, BOAT and WORLD.
+    """
+    start_stream(words, words)
+    u = alloca_f64(_NUMBERS)
+    fill_uniform(words, u)
+    begin, count = as_record(world, WORLD), laws.shape[0]
+    kind = min(int(u[_KIND] * count), count - 1)
+    begin.kind, begin.load = kind, _within(spans[_LOAD], u[_LOAD])
+    law, flat = as_record(laws[kind], LAW), row[_VESSEL_AT : _VESSEL_AT + _VESSEL_SIZE]
+    begin.speed = draw_boat(words, begin.load, law, begin.factors[:], flat, scratch)
+    begin.shaft_speed = law.shafts[0]
+    if not math.isnan(spans[_CURRENT, 0]):
+        speed = _within(spans[_CURRENT], u[_CURRENT])
+        to = math.radians(_within(spans[_CURRENT_TO], u[_CURRENT_TO]))
+        begin.current_north, begin.current_east = speed * math.cos(to), speed * math.sin(to)
+    if not math.isnan(spans[_WIND_FROM, 0]):
+        begin.wind_from = math.radians(_within(spans[_WIND_FROM], u[_WIND_FROM]) % 360.0)
+    heading = math.radians(_within(spans[_HEADING], u[_HEADING]))
+    begin.heading = (heading + math.pi) % (2.0 * math.pi) - math.pi if heading != 0.0 else 0.0
+    return begin.speed
+
+
+@inlined
+def note_drawn(boat, begin, sea, drawn):
+    """Write the numbers (7,) of :data:`DRAWN` of one boat."""
+    drawn[0], drawn[1], drawn[2] = begin.load, sea.hs, sea.wind
+    wind_from = sea.wind_from if math.isnan(begin.wind_from) else begin.wind_from
+    drawn[3] = math.degrees(wind_from) % 360.0
+    north, east = boat.weather.current_north, boat.weather.current_east
+    drawn[4], drawn[5] = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0
+    drawn[6] = math.degrees(begin.heading) % 360.0
 
 
 class Worlds:
@@ -66,72 +124,62 @@ class Worlds:
 
     Attributes
     ----------
+    kinds : tuple of BoatClass
+        Kinds of boats.
     active : bool
         Whether anything is drawn or changed here; if not, :meth:`draw` is not called.
+    numbers : ndarray, shape (n, 7)
+        Those of :data:`DRAWN`.
     drawn : dict of str to ndarray
         What stands in ``info["drawn"]``, an array (n, ...) for each key.
     """
 
     def __init__(self, n: int, config: EnvConfig, vessels: Sequence[Vessel]) -> None:
         spread = config.vessel_spread
-        self.classes = [BoatClass(one, spread, sides=spread / 3.0) for one in vessels]
-        self._wind_from, self._load = config.wind_span(), config.load_span()
-        self._current, self._heading = config.current_spans(), config.heading_span()
-        self._mass_varies = self._load != (1.0, 1.0)
-        moved = self._heading != (0.0, 0.0) or self._mass_varies or len(vessels) > 1
-        varies = spread > 0.0 or self._wind_from is not None or self._current is not None
-        self.active = bool(varies or moved)
+        self.kinds = tuple(BoatClass(one, spread, sides=spread / 3.0) for one in vessels)
+        wind_from, load, heading = config.wind_span(), config.load_span(), config.heading_span()
+        current = config.current_spans()
+        self._varies = spread > 0.0 or load != (1.0, 1.0)
+        self.active = bool(
+            self._varies
+            or heading != (0.0, 0.0)
+            or len(vessels) > 1
+            or not (wind_from is None and current is None)
+        )
+        spans = _UNDRAWN, load, wind_from or _UNDRAWN, *(current or (_UNDRAWN,) * 2), heading
+        self._spans, self._scratch = np.array(spans), scratch_of_draws()
+        self._laws = np.stack([kind.law for kind in self.kinds])
+        self.numbers = np.zeros((n, len(DRAWN)))
         self.drawn: dict[str, np.ndarray] = {
             "vessel": np.full(n, vessels[0].name, dtype=object),
             "vessel_factors": np.full(n, None, dtype=object),
-            **{name: np.zeros(n) for name in DRAWN},
+            **{name: self.numbers[:, k] for k, name in enumerate(DRAWN)},
             "faults": np.full(n, "none", dtype=object),
         }
-        self.drawn["load"][:] = 1.0
         same = Factors(*[1.0] * len(FACTORS))
         for i in range(n):
             self.drawn["vessel_factors"][i] = same
 
-    def draw(self, rng: np.random.Generator) -> Draw:
-        """Draw one episode."""
-        u = rng.random(_NUMBERS).tolist()
-        kind = min(int(u[_KIND] * len(self.classes)), len(self.classes) - 1)
-        load = _within(self._load, u[_LOAD])
-        boat = self.classes[kind].draw(rng, load)
-        current = None
-        if self._current is not None:
-            speed = _within(self._current[0], u[_CURRENT])
-            to = math.radians(_within(self._current[1], u[_CURRENT_TO]))
-            current = speed * math.cos(to), speed * math.sin(to)
-        span = self._wind_from
-        wind_from = None if span is None else math.radians(_within(span, u[_WIND_FROM]) % 360.0)
-        heading = math.radians(_within(self._heading, u[_HEADING]))
-        heading = (heading + math.pi) % (2.0 * math.pi) - math.pi if heading else 0.0
-        world = World(boat.vessel, boat.speed, heading, wind_from, current)
-        return Draw(kind, world, boat.factors, load)
+    def draw(self, words: np.ndarray, i: int, simulation: Simulation) -> int:
+        """Draw the next episode of boat i, and return which kind of boat it has.
 
-    def note(self, i: int, draw: Draw | None, simulation: Simulation) -> None:
-        """Remember what the episode of boat i has; None: nothing was drawn here."""
-        drawn, sea, faults = self.drawn, simulation.drawn_seas[i], simulation.drawn_faults[i]
-        drawn["hs_m"][i], drawn["wind_mps"][i] = sea.hs, sea.wind
-        weather = simulation.weather[i]
-        wind_from = sea.wind_from if draw is None else draw.world.wind_from
-        wind_from = sea.wind_from if wind_from is None else wind_from
-        drawn["wind_from_deg"][i] = math.degrees(wind_from) % 360.0
-        north, east = weather["current_north"].item(), weather["current_east"].item()
-        drawn["current_mps"][i] = math.hypot(north, east)
-        drawn["current_to_deg"][i] = math.degrees(math.atan2(east, north)) % 360.0
-        drawn["faults"][i] = "+".join(map(fault_text, faults)) or "none"
-        if draw is not None:
-            drawn["vessel"][i], drawn["load"][i] = draw.world.vessel.name, draw.load
-            drawn["vessel_factors"][i] = Factors(*draw.factors.tolist())
-            drawn["heading_deg"][i] = math.degrees(draw.world.heading) % 360.0
+        ``words`` (4,) start its generator, which is used up. VesselError: no boat could be drawn.
+        """
+        row, world = simulation.rows[i], simulation.world_rows[i]
+        speed = _draw(words, self._spans, self._laws, row, world, self._scratch)
+        kind = int(world[0])
+        if not speed > 0.0:
+            raise self.kinds[kind].refusal(speed, world[1].item())
+        self.drawn["vessel"][i] = self.kinds[kind].vessel.name
+        if self._varies:
+            self.drawn["vessel_factors"][i] = Factors(*world[_FACTORS].tolist())
+        return kind
 
-
-def _within(span: tuple[float, float], share: float) -> float:
-    """Return a number of a range, by its share of the way."""
-    low, high = span
-    return low if low == high else low + share * (high - low)
+    def note_faults(self, i: int, simulation: Simulation) -> None:
+        """Remember which faults the episode of boat i has."""
+        world = simulation.worlds[i]
+        text = simulation.fault_sets.text(int(world["faults"]), world["fault_start"].item())
+        self.drawn["faults"][i] = text
 
 
 def vessels_of(config: EnvConfig) -> tuple[Vessel, ...]:
@@ -168,31 +216,22 @@ def check_tables(vessels: Sequence[Vessel], dof: int) -> None:
         )
 
 
-def faults_of(config: EnvConfig) -> tuple[Any, int]:
-    """Return faults, or a function that draws them, and how many there are at most."""
+def faults_of(config: EnvConfig) -> FaultSets:
+    """Return the sets of faults of which each episode has one."""
     faults, dt = config.faults, config.dt
     if isinstance(faults, str):
         texts = faults.split("|")
         # a wrong name fails here, not at the first reset
         named = [parse_faults(one, 0.0) for one in texts]
-        if not any(named):
-            return (), 0
-        most = max(len(fault_records(one, dt)) for one in named)
+        for one in named:
+            fault_records(one, dt)
         _warn_of([fault for one in named for fault in one], config)
-
         later = [parse_faults(one, 1.0) for one in texts]
-        drawn = [
-            [(fault, fault != moved) for fault, moved in zip(*both, strict=True)]
+        moving = [
+            [fault != moved for fault, moved in zip(*both, strict=True)]
             for both in zip(named, later, strict=True)
         ]
-
-        def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
-            start = rng.uniform(*FAULT_START)
-            found = choice(drawn, rng)
-            return tuple(_begun(one, start) if moves else one for one, moves in found)
-
-        drawer: Callable[[np.random.Generator], tuple[Disturbance, ...]] = draw
-        return drawer, most
+        return FaultSets(named, moving, FAULT_START)
     items = list(faults) if isinstance(faults, Sequence) else [faults]
     given = [fault for fault in items if isinstance(fault, Disturbance)]
     if len(given) < len(items):
@@ -201,14 +240,7 @@ def faults_of(config: EnvConfig) -> tuple[Any, int]:
             "usv_gym.Fault(kind, start, duration)"
         )
     _warn_of(given, config)
-    return given, len(given)
-
-
-def _begun(fault: Disturbance, start: float) -> Disturbance:
-    """Return a fault that begins at another time (s), and needs no other check."""
-    begun = object.__new__(type(fault))
-    begun.__dict__.update(fault.__dict__, start=start)
-    return begun
+    return FaultSets([given])
 
 
 def _warn_of(faults: Sequence[Disturbance], config: EnvConfig) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.physics import GRAVITY
+from usv_kernel.jit import kernel
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,17 @@ def pm_equal_energy(hs: float, quantiles: Array) -> Array:
 
     ``hs`` is the significant wave height, m; shares lie in (0, 1).
     """
-    return (4.0 * PM_ALPHA * (GRAVITY / hs) ** 2 / -np.log(quantiles)) ** 0.25
+    omega = np.array(quantiles, dtype=float)
+    to_pm_frequencies(float(hs), omega.reshape(-1))
+    return omega
+
+
+@kernel
+def to_pm_frequencies(hs: float, shares: np.ndarray) -> None:
+    """Replace shares (M,) of the energy as :func:`pm_equal_energy` says."""
+    fall = 4.0 * PM_ALPHA * (GRAVITY / hs) ** 2
+    for i in range(shares.shape[0]):
+        shares[i] = math.sqrt(math.sqrt(fall / -math.log(shares[i])))
 
 
 def ittc_spectrum(omega: Array, hs: float, tp: float) -> Array:
@@ -144,14 +155,46 @@ def _cells(x: Array, y: Array) -> Array:
 
 
 # ---------------------------------------------------------------- wind
+NPD, HARRIS, DAVENPORT = range(3)
+"""Places of the gust spectra in :data:`GUST_SPECTRA`."""
+
+
+@kernel
+def gust_density(kind: int, f: float, wind: float, height: float) -> float:
+    """Return a gust spectrum in (m/s)^2/Hz at a frequency (Hz) and, of NPD, a height (m)."""
+    if kind == NPD:
+        n = 0.468
+        x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
+        energy = 320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45
+        return energy / (1.0 + x**n) ** (5.0 / (3.0 * n))
+    if kind == HARRIS:
+        length = 1800.0
+        return 4.0 * _DRAG * length * wind / (2.0 + (length * f / wind) ** 2) ** (5.0 / 6.0)
+    x = 1200.0 * f / wind
+    return 4.0 * _DRAG * wind**2 * x**2 / (f * (1.0 + x**2) ** (4.0 / 3.0))
+
+
+@kernel
+def _fill_density(kind: int, f: np.ndarray, wind: float, height: float, out: np.ndarray) -> None:
+    """Write a gust spectrum at frequencies (n,)."""
+    for i in range(f.shape[0]):
+        out[i] = gust_density(kind, f[i], wind, height)
+
+
+def _density(kind: int, f: Array, wind: float, height: float = 10.0) -> Array:
+    """Return a gust spectrum at frequencies of any shape."""
+    f = np.array(f, dtype=float)
+    out = np.empty(f.size)
+    _fill_density(kind, f.reshape(-1), float(wind), float(height), out)
+    return out.reshape(f.shape)
+
+
 def npd_spectrum(f: Array, wind: float, height: float = 10.0) -> Array:
     """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz at a height (m).
 
     ``f`` (Hz) is meant for 1/600 to 0.5 Hz; ``wind`` is the mean speed at 10 m, m/s, above 0.
     """
-    n = 0.468
-    x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
-    return 320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
+    return _density(NPD, f, wind, height)
 
 
 def harris_spectrum(f: Array, wind: float) -> Array:
@@ -159,8 +202,7 @@ def harris_spectrum(f: Array, wind: float) -> Array:
 
     Source: Harris 1971, with a length of 1800 m and a drag coefficient of .0026.
     """
-    length = 1800.0
-    return 4.0 * _DRAG * length * wind / (2.0 + (length * f / wind) ** 2) ** (5.0 / 6.0)
+    return _density(HARRIS, f, wind)
 
 
 def davenport_spectrum(f: Array, wind: float) -> Array:
@@ -168,8 +210,7 @@ def davenport_spectrum(f: Array, wind: float) -> Array:
 
     Source: Davenport 1961, with a length of 1200 m and a drag coefficient of .0026.
     """
-    x = 1200.0 * f / wind
-    return 4.0 * _DRAG * wind**2 * x**2 / (f * (1.0 + x**2) ** (4.0 / 3.0))
+    return _density(DAVENPORT, f, wind)
 
 
 GUST_SPECTRA: dict[str, Callable[[Array, float], Array]] = {

@@ -20,14 +20,27 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.physics.waves import FACTOR_ROWS, LOAD_ROWS, WAVE_ROWS
+from usv_gym.physics.weather import WEATHER, constant
 from usv_gym.vessel.schema import VesselError
+from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.random import borrowed_stream, fill_normal
 from usv_kernel.records import Record, as_record, field_at, record_size
 
 if TYPE_CHECKING:
     from usv_gym.vessel.vessel import Vessel
 
-__all__ = ["FACTORS", "SHAFT_SPEEDS", "BoatClass", "DrawnBoat", "Factors"]
+__all__ = [
+    "FACTORS",
+    "LAW",
+    "SHAFT_SPEEDS",
+    "BoatClass",
+    "DrawnBoat",
+    "Factors",
+    "draw_boat",
+    "scratch_of_draws",
+]
 
 Array = NDArray[np.float64]
 
@@ -86,6 +99,15 @@ _STEP = 1e-6
 _SPEED_ERROR = 1e-10
 """Error of a steady speed, m/s."""
 
+_WEATHER_SIZE = record_size(WEATHER)
+
+
+def scratch_of_draws() -> Array:
+    """Return the scratch of :func:`draw_boat`: calm weather, and rows to work in."""
+    scratch = np.zeros(_WEATHER_SIZE + ship.WORK_ROWS * fr.STATE_SIZE)
+    scratch[:_WEATHER_SIZE] = np.array([constant()]).view(float)
+    return scratch
+
 
 @kernel
 def _surplus(u: float, p: Record, state: np.ndarray) -> float:
@@ -131,10 +153,14 @@ def steady_speed(n: float, p: Record, state: np.ndarray) -> float:
 
 
 @kernel
-def _growth(n: float, speed: float, p: Record, sea: ship.Sea, work: np.ndarray) -> float:
-    """Return the growth rate of drift and turning on a straight course, 1/s."""
+def _growth(n: float, speed: float, p: Record, scratch: np.ndarray) -> float:
+    """Return the growth rate of drift and turning on a straight course in a calm sea, 1/s."""
+    work = shaped(scratch, _WEATHER_SIZE, (ship.WORK_ROWS, fr.STATE_SIZE))
     state, trial, out = work[0], work[1], work[2]
     boat, air = ship.Ship(p, 3), ship.Air(0.0, 0.0, 1.0)
+    loads, factors = shaped(scratch, 0, (0, LOAD_ROWS, 0)), shaped(scratch, 0, (FACTOR_ROWS, 0))
+    waves, gusts = shaped(scratch, 0, (WAVE_ROWS, 0)), shaped(scratch, 0, (3, 0))
+    sea = ship.Sea(waves, gusts, as_record(scratch, WEATHER), factors, loads)
     for i in range(fr.STATE_SIZE):
         state[i] = 0.0
     state[fr.U] = speed
@@ -161,34 +187,44 @@ def _growth(n: float, speed: float, p: Record, sea: ship.Sea, work: np.ndarray) 
 
 
 @kernel
-def drift_growth(p: Record, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray) -> float:
+def drift_growth(p: Record, shafts: np.ndarray, scratch: np.ndarray) -> float:
     """Return the largest growth rate of drift over shaft speeds, per ship length; inf: no speed."""
     most = -math.inf
     for k in range(shafts.shape[0]):
-        speed = steady_speed(shafts[k], p, work[0])
+        speed = steady_speed(shafts[k], p, scratch[_WEATHER_SIZE:])
         if not speed > 0.0:
             return math.inf
-        most = max(most, _growth(shafts[k], speed, p, sea, work) * p.length_waterline / speed)
+        most = max(most, _growth(shafts[k], speed, p, scratch) * p.length_waterline / speed)
     return most
 
 
-class _Law(NamedTuple):
-    """How the boats of a kind are drawn and checked; for kernels."""
+LAW = np.dtype(
+    [
+        # standard deviation of each factor but for those of the sides; negative: it stays 1
+        ("sd", float, _N_SCALARS + 2),
+        ("sides", float),  # standard deviation of the factor of each side's thrust
+        ("nominal", float, record_size(par.PARAMETERS)),  # flat parameters of the nominal boat
+        # shaft speeds at which it is to keep its course, rev/s; the first is that of its speed
+        ("shafts", float, len(SHAFT_SPEEDS)),
+        ("speed", float),  # of the nominal boat, m/s
+        ("growth", float),  # largest growth rate of drift
+        ("varies", float),  # 1 if the coefficients are drawn
+    ]
+)
+"""How the boats of a kind are drawn and checked."""
 
-    sd: Array
-    """Standard deviation of each factor but for those of the sides; negative: it stays 1."""
-    nominal: Array
-    """Flat parameters of the nominal boat."""
-    shafts: Array
-    """Shaft speeds at which it is to keep its course, rev/s; the first is that of its speed."""
-    bounds: Array
-    """Speed of the nominal boat (m/s), and the largest growth rate of drift."""
-    sea: ship.Sea
-    work: Array
+NO_BOAT, NO_SPEED = -1.0, -2.0
+"""What stands in place of the speed: no boat was found, or its load leaves it none."""
+
+
+@inlined
+def _clipped(factor):
+    """Return a factor from 0.1 to 1.9."""
+    return min(max(factor, 0.1), 1.9)
 
 
 @kernel
-def _fill(factors: np.ndarray, law: _Law, flat: np.ndarray) -> None:
+def _fill(factors: np.ndarray, law: Record, flat: np.ndarray) -> None:
     """Write flat parameters: the nominal ones times factors."""
     nominal = law.nominal
     for i in range(_N_SCALARS):
@@ -202,63 +238,95 @@ def _fill(factors: np.ndarray, law: _Law, flat: np.ndarray) -> None:
         flat[side] = (1.0 + nominal[side]) * factors[_N_SCALARS + 2 + i] - 1.0
 
 
-@inlined
-def _clipped(factor):
-    """Return a factor from 0.1 to 1.9."""
-    return min(max(factor, 0.1), 1.9)
-
-
 @kernel
-def _try(normals: np.ndarray, law: _Law, factors: np.ndarray, flat: np.ndarray) -> float:
-    """Write factors and flat parameters of a boat, and return its speed, or -1: draw it again."""
-    for i in range(law.sd.shape[0]):
-        factors[i] = _clipped(1.0 + law.sd[i] * normals[i]) if law.sd[i] >= 0.0 else 1.0
+def _try(law: Record, factors: np.ndarray, flat: np.ndarray, scratch: np.ndarray) -> float:
+    """Write flat parameters of a boat, and return its speed, or NO_BOAT: draw it again.
+
+    ``factors`` begin with standard normal numbers, and become the factors.
+    """
+    for i in range(_N_SCALARS + 2):
+        normal = factors[i]
+        factors[i] = _clipped(1.0 + law.sd[i] * normal) if law.sd[i] >= 0.0 else 1.0
     factors[_OVERALL] = factors[_LENGTH]
     factors[_PLANE] = factors[_LENGTH] * factors[_BEAM]
     _fill(factors, law, flat)
-    return _accept(flat, law.shafts, law.bounds, law.sea, law.work)
-
-
-@kernel
-def _finish(
-    normals: np.ndarray, load: float, law: _Law, factors: np.ndarray, flat: np.ndarray
-) -> float:
-    """Draw the thrust of the sides, load the boat, and return its speed, or -1 if it has none.
-
-    ``normals`` are the numbers of the two sides times their standard deviation; none: they stay.
-    """
-    for i in range(normals.shape[0]):
-        factors[_N_SCALARS + 2 + i] = _clipped(1.0 + normals[i])
-    for i in _LOAD_AT:
-        factors[i] *= load
-    _fill(factors, law, flat)
-    return steady_speed(law.shafts[0], as_record(flat, par.PARAMETERS), law.work[0])
-
-
-@kernel
-def _accept(
-    flat: np.ndarray, shafts: np.ndarray, bounds: np.ndarray, sea: ship.Sea, work: np.ndarray
-) -> float:
-    """Return the steady speed of a drawn boat, or -1 if it is to be drawn again.
-
-    ``bounds`` (2,) are the speed of the nominal boat (m/s) and the largest growth rate of drift.
-    """
     p = as_record(flat, par.PARAMETERS)
     volume = p.block_coefficient * p.length_waterline * p.beam * p.draft
     ratio = volume * p.water_density / p.mass
     if not (ratio > 0.8 and ratio < 1.25 and p.wake_fraction < 1.0 and p.thrust_deduction < 1.0):
-        return -1.0
-    speed = steady_speed(shafts[0], p, work[0])
-    ratio = speed / bounds[0]
+        return NO_BOAT
+    speed = steady_speed(law.shafts[0], p, scratch[_WEATHER_SIZE:])
+    ratio = speed / law.speed
     if not (ratio >= 1.0 / SPEED_FACTOR and ratio <= SPEED_FACTOR):
-        return -1.0
-    return speed if drift_growth(p, shafts, sea, work) <= bounds[1] else -1.0
+        return NO_BOAT
+    return speed if drift_growth(p, law.shafts[:], scratch) <= law.growth else NO_BOAT
 
 
 @kernel
-def _drift(flat: np.ndarray, shafts: np.ndarray, sea: ship.Sea, work: np.ndarray) -> float:
+def _finish(
+    load: float, law: Record, factors: np.ndarray, flat: np.ndarray, scratch: np.ndarray
+) -> float:
+    """Draw the thrust of the sides, load the boat, and return its speed, or NO_SPEED.
+
+    The factors of the sides are standard normal numbers, if they vary.
+    """
+    if law.sides > 0.0:
+        for i in range(_N_SCALARS + 2, len(FACTORS)):
+            factors[i] = _clipped(1.0 + law.sides * factors[i])
+    for i in _LOAD_AT:
+        factors[i] *= load
+    _fill(factors, law, flat)
+    p = as_record(flat, par.PARAMETERS)
+    speed = steady_speed(law.shafts[0], p, scratch[_WEATHER_SIZE:])
+    return speed if speed > 0.0 else NO_SPEED
+
+
+@kernel
+def draw_boat(
+    stream: np.ndarray,
+    load: float,
+    law: Record,
+    factors: np.ndarray,
+    flat: np.ndarray,
+    scratch: np.ndarray,
+) -> float:
+    """Draw a boat of a kind as :meth:`BoatClass.draw` does, and return its speed, m/s.
+
+    ``factors`` of :data:`FACTORS` and ``flat`` parameters are written. NO_BOAT, NO_SPEED: there is
+    none.
+    """
+    speed = law.speed
+    factors[:] = 1.0
+    if law.varies > 0.0:
+        for _ in range(TRIES):
+            fill_normal(stream, factors[: _N_SCALARS + 2])
+            speed = _try(law, factors, flat, scratch)
+            if speed > 0.0:
+                break
+        if not speed > 0.0:
+            return NO_BOAT
+    if law.sides > 0.0:
+        fill_normal(stream, factors[_N_SCALARS + 2 :])
+    if law.sides > 0.0 or load != 1.0:
+        return _finish(load, law, factors, flat, scratch)
+    if law.varies == 0.0:
+        for k in range(flat.shape[0]):
+            flat[k] = law.nominal[k]
+    return speed
+
+
+@kernel
+def _drift(flat: np.ndarray, shafts: np.ndarray, scratch: np.ndarray) -> float:
     """Do :func:`drift_growth` on flat memory."""
-    return drift_growth(as_record(flat, par.PARAMETERS), shafts, sea, work)
+    return drift_growth(as_record(flat, par.PARAMETERS), shafts, scratch)
+
+
+@kernel
+def _draw_flat(
+    stream: np.ndarray, load: float, law: np.ndarray, out: tuple[np.ndarray, ...]
+) -> float:
+    """Do :func:`draw_boat` on flat memory; ``out`` are its last three arguments."""
+    return draw_boat(stream, load, as_record(law, LAW), out[0], out[1], out[2])
 
 
 class DrawnBoat(NamedTuple):
@@ -284,6 +352,11 @@ class BoatClass:
     sides : float
         Standard deviation of the factor of each side's thrust, with two propulsion units.
 
+    Attributes
+    ----------
+    law : ndarray
+        Flat memory of :data:`LAW`, for kernels.
+
     Raises
     ------
     VesselError
@@ -299,16 +372,23 @@ class BoatClass:
                 f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
             )
         self.vessel, self.spread, self.built = vessel, spread, built
-        self.sides = sides if vessel.values["units"] == 2.0 else 0.0
-        self._varies = spread + built > 0.0
+        self._scratch = scratch_of_draws()
+        shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
+        self.shaft_speed, self.speed = float(shafts[0]), vessel.straight_speed(float(shafts[0]))
         flat = np.array([vessel.packed]).view(np.float64).copy()
-        sd = np.array(
-            [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
-        )
+        varies = spread + built > 0.0
+        record = np.zeros(1, LAW)
+        law = record[0]
+        law["sd"] = [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
         # numbers that a vessel lacks are filled in for kernels, and stay as they are
         for i, key in enumerate(par.SCALARS):
             if key not in vessel.values or key in _FIXED:
-                sd[i] = -1.0
+                law["sd"][i] = -1.0
+        law["sides"] = sides if vessel.values["units"] == 2.0 else 0.0
+        law["nominal"], law["shafts"], law["speed"] = flat, shafts, self.speed
+        law["growth"] = max(_drift(flat, shafts, self._scratch), 0.0) if varies else 0.0
+        law["varies"] = varies
+        self.law = record.view(float)
         self._nominal = np.array(list(vessel.values.values()))
         beam, roll = "beam", "zeta_roll"
         same = {"hull_beam": beam, "spacing": beam, "zeta_roll_viscous": roll}
@@ -319,12 +399,6 @@ class BoatClass:
                 for key in vessel.values
             ]
         )
-        shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
-        sea, work = ship.calm_sea(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-        self.speed = vessel.straight_speed(float(shafts[0]))
-        growth = _drift(flat, shafts, sea, work) if self._varies else 0.0
-        bounds = np.array([self.speed, max(growth, 0.0)])
-        self._law = _Law(sd, flat, shafts, bounds, sea, work)
         fields = (item.name for item in dataclasses.fields(vessel))
         self._fields = {name: getattr(vessel, name) for name in fields}
         self._resistance = np.array([vessel.resistance_speed, vessel.resistance_force])
@@ -335,33 +409,26 @@ class BoatClass:
         ``load`` multiplies mass, moments of inertia, added masses and draft of what was drawn.
         VesselError: no boat could be drawn.
         """
-        factors = np.ones(len(FACTORS))
-        if not self._varies and self.sides == 0.0 and load == 1.0:
-            return DrawnBoat(self.vessel, factors, self.speed)
-        flat, speed = self._law.nominal.copy(), self.speed
-        if self._varies:
-            speed = self._draw(rng, factors, flat)
-        if self.sides > 0.0 or load != 1.0:
-            normals = self.sides * rng.standard_normal(2) if self.sides > 0.0 else np.empty(0)
-            speed = _finish(normals, float(load), self._law, factors, flat)
-            if not speed > 0.0:
-                raise VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
-        return DrawnBoat(self._vessel(factors, flat), factors, speed)
+        factors, flat = np.ones(len(FACTORS)), np.zeros(record_size(par.PARAMETERS))
+        with borrowed_stream(rng) as stream:
+            speed = _draw_flat(stream, float(load), self.law, (factors, flat, self._scratch))
+        if not speed > 0.0:
+            raise self.refusal(speed, load)
+        return DrawnBoat(self.boat(factors, flat), factors, speed)
 
-    def _draw(self, rng: np.random.Generator, factors: Array, flat: Array) -> float:
-        """Write factors and flat parameters of a boat that is kept, and return its speed."""
-        law = self._law
-        for _ in range(TRIES):
-            speed = _try(rng.standard_normal(law.sd.size), law, factors, flat)
-            if speed > 0.0:
-                return float(speed)
-        raise VesselError(
+    def refusal(self, speed: float, load: float) -> VesselError:
+        """Return the error of what :func:`draw_boat` gives in place of a speed."""
+        if speed == NO_SPEED:
+            return VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
+        return VesselError(
             f"{self.vessel.name}: none of {TRIES} boats drawn with spread = {self.spread:g}, "
             f"built = {self.built:g} holds speed and course; use smaller spreads"
         )
 
-    def _vessel(self, factors: Array, flat: Array) -> Vessel:
-        """Return the vessel of drawn numbers, which need no other check."""
+    def boat(self, factors: Array, flat: Array) -> Vessel:
+        """Return the vessel of drawn factors and flat parameters, which need no other check."""
+        if (factors == 1.0).all():
+            return self.vessel
         force, speed = factors[_N_SCALARS], factors[_N_SCALARS + 1]
         values = (factors[self._places] * self._nominal).tolist()
         changed: dict[str, Any] = {
@@ -369,7 +436,7 @@ class BoatClass:
             "resistance_speed": tuple((speed * self._resistance[0]).tolist()),
             "resistance_force": tuple((force * self._resistance[1]).tolist()),
             "side_thrust": tuple(flat[_SIDES_AT].tolist()),
-            "packed": flat.view(par.PARAMETERS)[0],
+            "packed": flat.copy().view(par.PARAMETERS)[0],
         }
         vessel = object.__new__(type(self.vessel))
         vessel.__dict__.update(self._fields, **changed)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usv_gym.world.channels import (
     AHRS_BIT,
@@ -28,7 +29,7 @@ from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.random import STREAM, fill_uniform, next_word, start_stream
 from usv_kernel.records import Record
-from usv_kernel.streams import state_of
+from usv_kernel.streams import hash_numbers
 
 __all__ = [
     "EFFECTS",
@@ -43,10 +44,12 @@ __all__ = [
     "FaultWarning",
     "RandomFaults",
     "apply_faults",
+    "fault_keys",
     "fault_records",
     "ineffective_fault",
     "parse_faults",
     "seed_faults",
+    "start_streams",
     "strike",
 ]
 
@@ -102,6 +105,9 @@ FAULT = np.dtype(
     ]
 )
 """A fault as kernels read and advance it."""
+
+KEY_SIZE = 4
+"""Numbers that tell the generators of faults apart, see :func:`fault_keys`."""
 
 
 class FaultError(UsvTwinError):
@@ -390,14 +396,15 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     return tuple(faults)
 
 
-def fault_text(fault: Disturbance) -> str:
+def fault_text(fault: Disturbance, start: float | None = None) -> str:
     """Return a fault as the text that :func:`parse_faults` reads, with rounded times.
 
-    Gaps and durations of random faults, and sizes of errors, are not in it.
+    Gaps and durations of random faults, and sizes of errors, are not in it. A ``start`` (s)
+    replaces that of a :class:`Fault`.
     """
     name = fault.kind if fault.effect == "loss" else f"{fault.kind}-{fault.effect}"
     if isinstance(fault, Fault):
-        return f"{name}{fault.duration:g}@{fault.start:.1f}"
+        return f"{name}{fault.duration:g}@{fault.start if start is None else start:.1f}"
     if isinstance(fault, Bursts):
         return f"{name}-bursts{100.0 * fault.loss:g}x{fault.mean:g}@{fault.start:g}"
     return f"{name}-random"
@@ -448,28 +455,47 @@ def fault_records(faults: Sequence[Disturbance], dt: float) -> np.ndarray:
     return records
 
 
+def fault_keys(faults: Sequence[Disturbance]) -> NDArray[np.uint64]:
+    """Return numbers (F, 4) of faults that stay the same whatever faults are beside them."""
+    seen: dict[tuple[int, ...], int] = {}
+    keys = np.zeros((len(faults), KEY_SIZE), np.uint64)
+    for row, fault in zip(keys, faults, strict=True):
+        # a number that stays the same whatever other kinds there are
+        bits = FAULT_KINDS[fault.kind]
+        kind = bits % AHRS_BIT if fault.kind == "all" else bits
+        key = (fault.code, kind, EFFECTS[fault.effect])
+        seen[key] = seen.get(key, -1) + 1
+        row[:] = *key, seen[key]
+    return keys
+
+
+@kernel
+def start_streams(
+    words: np.ndarray, keys: np.ndarray, scratch: np.ndarray, faults: np.ndarray
+) -> None:
+    """Give each fault (F,) a generator, by its keys (F, 4).
+
+    ``words`` (4,) start the generator of their common seed. ``scratch`` (4, 8) is uint64, as the
+    others.
+    """
+    numbers, stream = scratch[3, : 1 + KEY_SIZE], scratch[2, STREAM : 2 * STREAM]
+    start_stream(words, stream)
+    seed = next_word(stream) >> np.uint64(1)
+    for i in range(faults.shape[0]):
+        numbers[0] = seed
+        for k in range(KEY_SIZE):
+            numbers[1 + k] = keys[i, k]
+        hash_numbers(numbers, scratch[:3], stream)
+        start_stream(stream, faults[i].stream)
+
+
 def seed_faults(
     records: np.ndarray, faults: Sequence[Disturbance], rng: np.random.Generator
 ) -> None:
     """Give each record (F,) a generator; it stays the same whatever faults are beside it."""
     seed_sequence: Any = rng.bit_generator.seed_seq
     words = seed_sequence.spawn(1)[0].generate_state(STREAM, np.uint64)
-    seed = _first_of(words, np.empty(STREAM, np.uint64))
-    seen: dict[tuple[int, ...], int] = {}
-    for record, fault in zip(records, faults, strict=True):
-        # a number that stays the same whatever other kinds there are
-        bits = FAULT_KINDS[fault.kind]
-        kind = bits % AHRS_BIT if fault.kind == "all" else bits
-        key = (fault.code, kind, EFFECTS[fault.effect])
-        seen[key] = seen.get(key, -1) + 1
-        start_stream(state_of([seed, *key, seen[key]]), record["stream"])
-
-
-@kernel
-def _first_of(words: np.ndarray, stream: np.ndarray) -> int:
-    """Return the first whole number below 2^63 of the generator that is started so."""
-    start_stream(words, stream)
-    return int(next_word(stream) >> np.uint64(1))
+    start_streams(words, fault_keys(faults), np.zeros((4, 8), np.uint64), records)
 
 
 def apply_faults(

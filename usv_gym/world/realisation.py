@@ -12,12 +12,27 @@ from numpy.typing import ArrayLike, NDArray
 from usv_gym.hydro.table import between
 from usv_gym.physics import GRAVITY, ship, waves
 from usv_gym.physics import weather as wx
+from usv_gym.physics.spectra import gust_density, to_pm_frequencies
 from usv_gym.vessel.vessel import Vessel
-from usv_kernel.jit import kernel
+from usv_kernel.arrays import take
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record
 from usv_kernel.scalar import sincos
 
-__all__ = ["Sea", "drift_sums", "drift_table", "load_rows", "wave_rows"]
+__all__ = [
+    "GUST_COMPONENTS",
+    "Sea",
+    "drift_scratch",
+    "drift_sums",
+    "drift_table",
+    "fill_rows",
+    "gust_rows",
+    "load_rows",
+    "pm_components",
+    "sum_drift",
+    "sum_regression",
+    "wave_rows",
+]
 
 Array = NDArray[np.float64]
 
@@ -50,14 +65,15 @@ def complete_rows(vessel: Vessel, rows: Array) -> Array:
 
     See :func:`wave_rows`.
     """
-    _fill_rows(rows, vessel.values["water_density"] * GRAVITY, vessel.values["draft"])
+    rho_g = vessel.values["water_density"] * GRAVITY
+    fill_rows(rows, rows.shape[1], rho_g, vessel.values["draft"])
     return rows
 
 
 @kernel
-def _fill_rows(rows: np.ndarray, rho_g: float, draft: float) -> None:
-    """Complete wave components (7, M), of which the directions stand in place of the numbers."""
-    for i in range(rows.shape[1]):
+def fill_rows(rows: np.ndarray, count: int, rho_g: float, draft: float) -> None:
+    """Complete the first components (7, M), of which directions stand in place of the numbers."""
+    for i in range(count):
         k = rows[waves.OMEGA, i] ** 2 / GRAVITY
         fall = -math.expm1(-k * draft)
         rows[waves.K_NORTH, i] *= k
@@ -66,36 +82,72 @@ def _fill_rows(rows: np.ndarray, rho_g: float, draft: float) -> None:
         rows[waves.BOTTOM, i] = k * math.exp(-k * draft) / fall
 
 
+@kernel
+def pm_components(hs: float, omega: np.ndarray) -> None:
+    """Replace uniform numbers (M,) by frequencies (rad/s) of a PM sea, of equal energy each.
+
+    One lies at random in each of M bins: the sea never repeats.
+    """
+    M = omega.shape[0]
+    for i in range(M):
+        omega[i] = min(max((i + omega[i]) / M, 1e-12), 1.0 - 1e-12)
+    to_pm_frequencies(hs, omega)
+
+
+GUST_COMPONENTS = 32
+
+_GUST_EDGES_HZ = np.geomspace(1.0 / 600.0, 0.5, GUST_COMPONENTS + 1)
+_GUST_WIDTHS_HZ = np.diff(_GUST_EDGES_HZ)
+
+
+@kernel
+def gust_rows(kind: int, wind: float, rows: np.ndarray) -> None:
+    """Replace uniform numbers in the first two rows (3, G) by gusts of a spectrum.
+
+    See :func:`usv_gym.physics.spectra.gust_density`. The rows become circular frequency, phase and
+    amplitude.
+    """
+    for i in range(GUST_COMPONENTS):
+        width = _GUST_WIDTHS_HZ[i]
+        f = _GUST_EDGES_HZ[i] + rows[0, i] * width
+        rows[0, i], rows[1, i] = 2.0 * math.pi * f, 2.0 * math.pi * rows[1, i]
+        rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind, 10.0) * width)
+
+
 def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
     """Return the sums (6,) of mean drift by regression, see :func:`waves.mean_drift_loads`.
 
     ``omega`` (M,) in rad/s, ``amplitude`` (M,) in m; the waves go ``to`` (M,), rad. Length and
     number of hulls, with their draft, decide which waves are reflected.
     """
-    L, sums = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
-    share = np.ones(len(omega))
+    sums, share = np.zeros(waves.DRIFT_SUMS), np.ones(len(omega))
     if vessel.two_hulls:  # waves pass below shallow pontoons
         share = waves.reflected_by_draft(omega**2 / GRAVITY, vessel.values["draft"])
-    _sum_regression(np.stack([omega, amplitude, to, share]), L, sums)
-    return vessel.values["water_density"] * GRAVITY * sums
+    v, given = vessel.values, np.stack([omega, amplitude, share, to])
+    sum_regression(given, 0.0, v["length_waterline"], v["water_density"] * GRAVITY, sums)
+    return sums
 
 
 @kernel
-def _sum_regression(given: np.ndarray, L: float, sums: np.ndarray) -> None:
-    """Add what each wave adds to the sums (6,), over the weight of water.
+def sum_regression(given: np.ndarray, to: float, L: float, weight: float, sums: np.ndarray) -> None:
+    """Write the sums (6,) of mean drift over waves.
 
-    The rows ``given`` (4, M) are frequencies, amplitudes, directions and reflected shares.
+    The rows ``given`` (4, M) are frequencies, amplitudes, reflected shares, and directions off
+    ``to``, rad; the ``weight`` of water is in N/m3.
     """
+    sums[:] = 0.0
     for i in range(given.shape[1]):
         omega, amplitude = given[0, i], given[1, i]
-        sine, cosine = sincos(given[2, i])
+        sine, cosine = sincos(to + given[3, i])
         coefficients = waves.drift_limited(2.0 * math.pi * GRAVITY / (omega * omega * L))
         for j in range(3):
-            share = 1.0 if j == 0 else given[3, i]
+            share = 1.0 if j == 0 else given[2, i]
             load = 0.5 * L * share * coefficients[j] * amplitude * amplitude
             load *= 1.0 if j < 2 else L
             sums[2 * j] += load * cosine
             sums[2 * j + 1] += load * sine
+    for j in range(sums.shape[0]):
+        sums[j] *= weight
 
 
 _HEAVE, _PITCH = 2, 4
@@ -144,35 +196,96 @@ def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Ar
     if table is None or table.drift_around is None:
         return None
     scale = vessel.values["length_waterline"] / table.length
-    points = table.omega / math.sqrt(scale)
     values = table.drift_around
-    power = scale ** np.array([1.0, 1.0, 2.0])
     if (to == to[0]).all():
-        total, out = np.zeros(values.shape[1:]), np.zeros((waves.LOAD_HEADINGS, 3))
-        _sum_drift(np.stack([omega, amplitude]), points, values, np.zeros(len(points)), total)
-        _turn(total, to.item(0), out)
-        return out * power
+        out = np.zeros((waves.LOAD_HEADINGS, 3))
+        scratch = np.zeros(drift_scratch(values.shape))
+        sum_drift(
+            np.stack([omega, amplitude]),
+            to.item(0),
+            scale,
+            (table.omega.copy(), values, scratch),
+            out,
+        )
+        return out
+    points = table.omega / math.sqrt(scale)
     drift = between(omega, points, values)
     # longer waves pass by
     drift = drift * np.minimum(omega / points[0], 1.0)[:, None, None] ** 4
+    power = scale ** np.array([1.0, 1.0, 2.0])
     return power * np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0)
 
 
+def drift_scratch(shape: tuple[int, ...]) -> int:
+    """Return how many numbers :func:`sum_drift` takes for a table of a shape (F, K, 3)."""
+    F, K = shape[:2]
+    return F + 3 * K + 2 * K + 2 * waves.LOAD_HEADINGS
+
+
 @kernel
-def _sum_drift(
-    given: np.ndarray, points: np.ndarray, values: np.ndarray, shares: np.ndarray, out: np.ndarray
+def sum_drift(
+    given: np.ndarray,
+    to: float,
+    scale: float,
+    table: tuple[np.ndarray, np.ndarray, np.ndarray],
+    out: np.ndarray,
 ) -> None:
-    """Add the drift of waves that go the same way to ``out`` (K, 3), at headings off theirs.
+    """Write the mean drift (H, 3) at even headings of the boat, of waves that all go ``to``, rad.
 
-    ``shares`` (F,) are zeros: they become how much of each point's drift there is.
-
-    The rows ``given`` (2, M) are frequencies and amplitudes. ``values`` (F, K, 3) are interpolated
-    between ``points`` (F,) as :func:`usv_gym.hydro.table.between` does.
+    The first rows of ``given`` are frequencies and amplitudes. ``table`` holds frequencies (F,),
+    the drift (F, K, 3) at even headings of the wave, and scratch of :func:`drift_scratch` numbers.
+    ``scale`` is the length of the boat over that of the table.
     """
-    last = points.shape[0] - 1
-    first = 0
+    points, values, scratch = table
+    F, K, H = values.shape[0], values.shape[1], out.shape[0]
+    shares, at = take(scratch, 0, (F,))
+    total, at = take(scratch, at, (K, 3))
+    around, at = take(scratch, at, (K, 2))
+    headings, at = take(scratch, at, (H, 2))
+    shares[:] = 0.0
+    total[:] = 0.0
+    _share_out(given, math.sqrt(scale), points, shares)
+    for f in range(F):
+        if shares[f] != 0.0:
+            for k in range(K):
+                for j in range(3):
+                    total[k, j] += shares[f] * values[f, k, j]
+    for k in range(K):
+        around[k, 1], around[k, 0] = sincos(2.0 * math.pi * k / K)
+    for h in range(H):
+        headings[h, 1], headings[h, 0] = sincos(2.0 * math.pi * h / H)
+    # trigonometric interpolation, see _turned: lobes of the wave, at the headings of the boat
+    out[:] = 0.0
+    for n in range(K // 2 + 1):
+        weight = (1.0 if n == 0 or 2 * n == K else 2.0) / K
+        s, c = sincos(n * to)
+        for j in range(3):
+            c_j, s_j, at = 0.0, 0.0, 0
+            for k in range(K):
+                c_j += around[at, 0] * total[k, j]
+                s_j += around[at, 1] * total[k, j]
+                at = at + n - K if at + n >= K else at + n
+            # at the angle of the waves less the heading of the boat
+            ahead, aside = weight * (c * c_j + s * s_j), weight * (s * c_j - c * s_j)
+            step, at = n % H, 0
+            for h in range(H):
+                out[h, j] += headings[at, 0] * ahead + headings[at, 1] * aside
+                at = at + step - H if at + step >= H else at + step
+    for h in range(H):
+        out[h, 0] *= scale
+        out[h, 1] *= scale
+        out[h, 2] *= scale * scale
+
+
+@inlined
+def _share_out(given, root, points, shares):
+    """Add how much of each point's drift there is, as :func:`usv_gym.hydro.table.between` does.
+
+    ``root`` takes frequencies of the boat to those of the table.
+    """
+    last, first = points.shape[0] - 1, 0
     for m in range(given.shape[1]):
-        omega, weight = given[0, m], given[1, m] ** 2
+        omega, weight = root * given[0, m], given[1, m] ** 2
         # longer waves pass by
         weight *= min(omega / points[0], 1.0) ** 4
         x = min(max(omega, points[0]), points[last])
@@ -181,38 +294,12 @@ def _sum_drift(
         while first < last - 3 and points[first + 2] < x:
             first += 1
         for i in range(4):
-            part = weight
+            part, whole = weight, 1.0
             for j in range(4):
                 if i != j:
-                    distance = points[first + i] - points[first + j]
-                    part *= (x - points[first + j]) / distance
-            shares[first + i] += part
-    for f in range(points.shape[0]):
-        for k in range(out.shape[0]):
-            for n in range(3):
-                out[k, n] += shares[f] * values[f, k, n]
-
-
-@kernel
-def _turn(values: np.ndarray, to: float, out: np.ndarray) -> None:
-    """Add values (K, 3) at even headings of the wave at even headings (H, 3) of the boat.
-
-    See :func:`_turned`, for one wave and real numbers.
-    """
-    K, H = values.shape[0], out.shape[0]
-    for n in range(K // 2 + 1):
-        weight = (1.0 if n == 0 or 2 * n == K else 2.0) / K
-        s_0, c_0, s_1, c_1, s_2, c_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(K):
-            s, c = sincos(2.0 * math.pi * ((n * k) % K) / K)
-            s_0, c_0 = s_0 + s * values[k, 0], c_0 + c * values[k, 0]
-            s_1, c_1 = s_1 + s * values[k, 1], c_1 + c * values[k, 1]
-            s_2, c_2 = s_2 + s * values[k, 2], c_2 + c * values[k, 2]
-        for h in range(H):
-            s, c = sincos(n * (to - 2.0 * math.pi * h / H))
-            out[h, 0] += weight * (c * c_0 + s * s_0)
-            out[h, 1] += weight * (c * c_1 + s * s_1)
-            out[h, 2] += weight * (c * c_2 + s * s_2)
+                    part *= x - points[first + j]
+                    whole *= points[first + i] - points[first + j]
+            shares[first + i] += part / whole
 
 
 def _beyond(omega: Array, points: Array) -> Array:

@@ -17,12 +17,22 @@ from numpy.typing import NDArray
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.realisation import Sea, complete_rows, drift_sums, drift_table
+from usv_gym.world.realisation import (
+    GUST_COMPONENTS,
+    Sea,
+    complete_rows,
+    drift_sums,
+    drift_table,
+    gust_rows,
+    pm_components,
+)
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
 from usv_kernel.records import Record
 
 __all__ = [
+    "DRIFT_WAVES",
+    "GUSTS",
     "SEA_STATES",
     "SeaKeyframe",
     "SeaState",
@@ -39,15 +49,11 @@ DISCRETISATIONS = ("equal-energy", "random-frequency")
 
 GUSTS = (*spectra.GUST_SPECTRA, "none")
 
-GUST_COMPONENTS = 32
-
-_GUST_EDGES_HZ = np.geomspace(1.0 / 600.0, 0.5, GUST_COMPONENTS + 1)
-_GUST_WIDTHS_HZ = np.diff(_GUST_EDGES_HZ)
-
 # shares of the energy between which random frequencies lie; the tail beyond would thin them
 _BAND = np.array([0.001, 0.999])
 
-_DRIFT_WAVES = 200  # bins of the spectrum
+DRIFT_WAVES = 200
+"""Waves whose mean drift is summed."""
 
 _TURN = 2.0 * math.pi
 
@@ -328,19 +334,22 @@ class SeaState:
         if current is None:
             current = self.current * math.cos(to), self.current * math.sin(to)
         turn = 0.0 if wind_from is None else wind_from - self.wind_from
-        weather = self._weather.copy()
+        weather = self.mean_weather.copy()
         weather["wind_from"][: max(len(self.schedule), 1)] += turn
         weather["current_north"], weather["current_east"] = current
         waves_to = self.waves_to + (turn if self.wave_to is None else 0.0)
         if self.hs > 0.0:
-            weather["drift_sums"], drift = self._drift(vessel, waves_to)
-            if drift is not None:
-                weather["drift_table"], weather["drift_tabled"] = drift, 1.0
+            omega, amplitude, aside = self.drift_waves
+            table = drift_table(vessel, omega, amplitude, waves_to + aside)
+            if table is None:
+                weather["drift_sums"] = drift_sums(vessel, omega, amplitude, waves_to + aside)
+            else:
+                weather["drift_table"], weather["drift_tabled"] = table, 1.0
         components, gusts = self._waves(vessel, rng_waves, waves_to), self._gusts(rng_gusts)
         return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
 
     @cached_property
-    def _weather(self) -> Record:
+    def mean_weather(self) -> Record:
         """Weather without waves' drift and without current."""
         weather = wx.constant(wind=self.wind, wind_from=self.wind_from)
         weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
@@ -361,18 +370,8 @@ class SeaState:
         highest = max(self.schedule, key=lambda keyframe: keyframe.hs, default=None)
         return math.pi + (self.wind_from if highest is None else self._wind_from(highest))
 
-    def _drift(self, vessel: Vessel, to: float) -> tuple[Array, Array | None]:
-        """Return the mean drift of waves that go ``to``, rad; that of the last vessel is kept."""
-        kept = self.__dict__.get("_last_drift")
-        if kept is None or kept[0] is not vessel or kept[1] != to:
-            omega, amplitude, aside = self._drift_waves
-            sums = drift_sums(vessel, omega, amplitude, to + aside)
-            kept = vessel, to, sums, drift_table(vessel, omega, amplitude, to + aside)
-            self.__dict__["_last_drift"] = kept
-        return kept[2], kept[3]
-
     @cached_property
-    def _drift_waves(self) -> tuple[Array, Array, Array]:
+    def drift_waves(self) -> tuple[Array, Array, Array]:
         """Waves whose mean drift is summed: frequencies, amplitudes (m), directions off the mean.
 
         The drift of a sea is that of its spectrum. The few short components of one realisation
@@ -381,10 +380,10 @@ class SeaState:
         table = self.wave_spectrum()
         step = 0.5 * np.diff(table.omega) * (table.density[1:] + table.density[:-1])
         energy = np.concatenate([[0.0], np.cumsum(step)])
-        edges = np.geomspace(table.omega[0], table.omega[-1], _DRIFT_WAVES + 1)
+        edges = np.geomspace(table.omega[0], table.omega[-1], DRIFT_WAVES + 1)
         amplitude = np.sqrt(2.0 * np.diff(np.interp(edges, table.omega, energy)))
         # the golden section deals out directions evenly, whatever part of the waves counts
-        shares = (0.5 + 0.6180339887498949 * np.arange(_DRIFT_WAVES, dtype=float)) % 1.0
+        shares = (0.5 + 0.6180339887498949 * np.arange(DRIFT_WAVES, dtype=float)) % 1.0
         return np.sqrt(edges[1:] * edges[:-1]), amplitude, self._aside(shares)
 
     def _aside(self, shares: Array) -> Array:
@@ -404,7 +403,11 @@ class SeaState:
         """Draw the frequencies (rad/s) of the components, and return their amplitudes (m)."""
         M = self.components
         # one frequency at random in each of M bins, of equal energy or width: the sea never repeats
-        within = np.arange(M) + rng.random(M)
+        uniform = rng.random(M)
+        if self.spectrum == "pm" and self.discretisation == "equal-energy":
+            pm_components(self.hs, uniform)
+            return uniform, np.full(M, self.hs / math.sqrt(8.0 * M))
+        within = np.arange(M) + uniform
         if self.discretisation == "random-frequency":
             table = self.wave_spectrum()
             low, high = spectra.quantile_frequencies(_BAND, table.omega, table.density)
@@ -412,12 +415,9 @@ class SeaState:
             # bins of equal ratio: their width grows with the frequency
             share = np.interp(omega, table.omega, table.density) * omega
             return omega, self.hs * np.sqrt(share / (8.0 * np.sum(share)))
-        quantiles = np.minimum(np.maximum(within / M, 1e-12), 1 - 1e-12)  # np.clip takes 4 us more
-        if self.spectrum == "pm":
-            omega = spectra.pm_equal_energy(self.hs, quantiles)
-        else:
-            table = self.wave_spectrum()
-            omega = spectra.quantile_frequencies(quantiles, table.omega, table.density)
+        table = self.wave_spectrum()
+        quantiles = np.clip(within / M, 1e-12, 1 - 1e-12)
+        omega = spectra.quantile_frequencies(quantiles, table.omega, table.density)
         return omega, np.full(M, self.hs / math.sqrt(8.0 * M))
 
     def _waves(self, vessel: Vessel, rng: np.random.Generator, to: float) -> Array:
@@ -439,13 +439,10 @@ class SeaState:
     def _gusts(self, rng: np.random.Generator) -> Array:
         if self.wind == 0.0 or self.gusts == "none":
             return np.zeros((3, 0))
-        f = _GUST_EDGES_HZ[:-1] + rng.random(GUST_COMPONENTS) * _GUST_WIDTHS_HZ
-        spectrum = spectra.GUST_SPECTRA[self.gusts](f, self.wind)
-        phases = rng.uniform(0.0, 2.0 * math.pi, GUST_COMPONENTS)
-        gusts = np.empty((3, GUST_COMPONENTS))
-        gusts[0], gusts[1] = 2.0 * math.pi * f, phases
-        gusts[2] = np.sqrt(2.0 * spectrum * _GUST_WIDTHS_HZ)
-        return gusts
+        rows = np.zeros((3, GUST_COMPONENTS))
+        rows[:2] = rng.random((2, GUST_COMPONENTS))
+        gust_rows(GUSTS.index(self.gusts), self.wind, rows)
+        return rows
 
 
 def _check(name: str, value: object, where: str = "", *, optional: bool = False) -> None:

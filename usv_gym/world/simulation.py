@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usv_gym.physics import frames as fr
+from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
 from usv_gym.vessel.runaway import check_motion
+from usv_gym.vessel.variation import BoatClass
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import anemometer, sensors
-from usv_gym.world.faults import FAULT, Disturbance, fault_records, seed_faults
+from usv_gym.world.faults import FAULT, Disturbance
 from usv_gym.world.realisation import Sea, load_rows
-from usv_gym.world.sea import SeaState, choice
+from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
-from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
+from usv_gym.world.start import SEA, DriftTable, FaultSets, draw_start, is_compiled, sea_record
+from usv_gym.world.state import BOAT, SIMULATION, WORLD, sea_arrays, sensor_arrays
 from usv_gym.world.streams import NOISE_STREAMS, Streams, spawned
 from usv_kernel.arrays import alloca_f64, shaped, take
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
@@ -33,7 +36,6 @@ __all__ = [
     "RunawayError",
     "Simulation",
     "SimulationError",
-    "World",
     "advance",
 ]
 
@@ -63,6 +65,9 @@ PLACE_MAX = 1e6
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
+
+_SEA_AT = field_at(WORLD, "sea")
+_VESSEL = slice(field_at(BOAT, "vessel"), field_at(BOAT, "vessel") + record_size(par.PARAMETERS))
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
 _NUMBERS = (
@@ -169,23 +174,26 @@ def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> i
 
 @kernel
 def _start(
-    row: np.ndarray, shared: np.ndarray, starts: np.ndarray, state: np.ndarray, factors: np.ndarray
+    row: np.ndarray, world: np.ndarray, shared: np.ndarray, states: np.ndarray, factors: np.ndarray
 ) -> None:
-    """Put a boat to its start with a state (16,), draw its slow wind, and let its sensors begin.
+    """Put a boat to its start, draw its slow wind, and let its sensors begin.
 
-    ``starts`` (6, 4) starts its generators. With six degrees of freedom it is set on the surface of
-    its sea.
+    ``world`` is flat memory of WORLD, ``states`` (6 or more, 4) start its generators. With six
+    degrees of freedom it is set on the surface of its sea.
     """
     boat, config = as_record(row, BOAT), as_record(shared, SIMULATION)
     faults, delay_line, wind_line = sensor_arrays(row, config)
-    for i in range(starts.shape[0]):
-        start_stream(starts[i], boat.streams[i])
+    for i in range(boat.streams.shape[0]):
+        start_stream(states[i], boat.streams[i])
     boat.t = boat.step = 0.0
     for i in range(fr.STATE_SIZE):
-        boat.state[i] = state[i]
-        boat.mean_rate[i] = 0.0
+        boat.state[i] = boat.mean_rate[i] = 0.0
         for j in range(ship.WORK_ROWS):
             boat.work[j, i] = 0.0
+    begin, state = as_record(world, WORLD), boat.state
+    state[fr.X], state[fr.Y], state[fr.PSI] = begin.x, begin.y, begin.heading
+    state[fr.U] = begin.speed
+    state[fr.N_LEFT] = state[fr.N_RIGHT] = begin.shaft_speed
     for i in range(fr.COMMAND_SIZE):
         boat.command[i] = state[fr.N_LEFT + i]
     delay_line[:] = 0.0
@@ -212,20 +220,6 @@ def float_on_sea(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     ship.float_on(boat.state, boat.vessel, sea)
 
 
-class World(NamedTuple):
-    """What differs from boat to boat, besides sea state and faults."""
-
-    vessel: Vessel
-    speed: float
-    """At the start, ahead over ground, m/s."""
-    heading: float = 0.0
-    """At the start, rad clockwise from north."""
-    wind_from: float | None = None
-    """Where the wind of the sea state is turned to come from, rad; None leaves it."""
-    current: tuple[float, float] | None = None
-    """Velocity of the current, m/s north and east; None: that of the sea state."""
-
-
 def parts_of(n: int, substeps: int, threads: int = 1) -> list[slice]:
     """Return the boats of each call of a kernel: a part for each thread, and none too long."""
     count = max(min(threads, n), -(-n * substeps // WORK_MAX))
@@ -247,11 +241,10 @@ class Simulation:
         ``"0|2|4"``, one is drawn then.
     suite : str or SensorSuite, optional
         Errors and rates of the sensors.
-    faults : sequence of Disturbance or callable
-        Faults of sensors, the same for every boat, or a function of a generator that draws
-        them at each reset.
-    max_faults : int
-        Most faults that the function returns.
+    faults : sequence of Disturbance or FaultSets
+        Faults of sensors: the same for every boat, or sets of which one is drawn at each reset.
+    kinds : sequence of BoatClass, optional
+        Kinds of boats, of which ``vessel`` is the first, see ``worlds``.
     dof : int
         Degrees of freedom: 3 (surge, sway, yaw) or 6 (and heave, roll, pitch).
     dt : float
@@ -276,6 +269,9 @@ class Simulation:
     faults : ndarray of FAULT, shape (n, F)
         Faults of this episode, see :func:`usv_gym.world.faults.fault_records`; those that are not
         used start at NaN.
+    worlds : ndarray of WORLD, shape (n,)
+        What the next episode of each boat begins with, a view of ``world_rows``. Whoever changes a
+        boat's kind or factors writes its parameters, ``boats["vessel"]``, as well.
     boats : ndarray of BOAT, shape (n,)
         All of the above by name, see :data:`usv_gym.world.state.BOAT`; a view of ``rows``.
     rows : ndarray
@@ -291,10 +287,8 @@ class Simulation:
         sea: str | SeaState | Sequence[str | SeaState],
         *,
         suite: str | SensorSuite | None = None,
-        faults: (
-            Sequence[Disturbance] | Callable[[np.random.Generator], Sequence[Disturbance]]
-        ) = (),
-        max_faults: int = 4,
+        faults: Sequence[Disturbance] | FaultSets = (),
+        kinds: Sequence[BoatClass] | None = None,
         dof: int = 3,
         dt: float = 0.05,
         dt_physics: float = 0.05,
@@ -310,15 +304,15 @@ class Simulation:
         self.dof = int(dof)
         self.n, self.vessel, self.dt, self.substeps = n, vessel, dt, substeps
         self.suite = suite
-        fixed = () if callable(faults) else tuple(faults)
-        if not all(isinstance(fault, Disturbance) for fault in fixed):
-            raise SimulationError(
-                f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
-                "(usv_gym.world.faults.parse_faults reads a text)"
-            )
-        fault_records(fixed, dt)  # invalid combinations fail here, not at the first reset
-        max_faults = max_faults if callable(faults) else len(fixed)
-        self._given_faults = faults if callable(faults) else fixed
+        if not isinstance(faults, FaultSets):
+            if not all(isinstance(fault, Disturbance) for fault in faults):
+                raise SimulationError(
+                    f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
+                    "(usv_gym.world.faults.parse_faults reads a text)"
+                )
+            faults = FaultSets([faults])
+        self.fault_sets, self._faults = faults, faults.arrays(dt)
+        self.kinds = tuple(kinds) if kinds else (BoatClass(vessel, 0.0),)
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
         examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
@@ -328,7 +322,7 @@ class Simulation:
             "waves": (WAVE_ROWS, width),
             "gusts": max(example.gusts.shape for example in examples),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
-            "faults": (max_faults, record_size(FAULT)),
+            "faults": (faults.most, record_size(FAULT)),
             "delay_line": (self.suite.delay_rows(dt), sensors.DELAYED),
             "wind_line": (suite.wind_rows(dt), anemometer.WIND_ROWS),
         }
@@ -352,29 +346,47 @@ class Simulation:
         )
         self.z[:] = math.nan
         self.faults["start"] = math.nan
-        self._fault_rows, self._no_faults = parts["faults"], parts["faults"][0].copy()
         shared = np.zeros(1, SIMULATION)
         config = shared[0]
         config["dt"], config["substeps"], config["dof"] = dt, substeps, dof
         config["suite"] = self.suite.pack(dt)
-        self._packed = self.boats["vessel"]
-        self._packed[:] = vessel.packed
-        self.vessels = [vessel] * n
-        """The boats of this episode, and what they sail in."""
-        self.drawn_seas = [self.seas[0]] * n
-        self.drawn_faults: list[tuple[Disturbance, ...]] = [()] * n
+        self.boats["vessel"][:] = vessel.packed
         for name, begin in at.items():
             config[f"{name}_at"] = begin
         config["wave_components"], config["gust_components"] = width, shapes["gusts"][1]
         config["load_headings"] = shapes["loads"][0]
         config["wind_rows"] = shapes["wind_line"][0]
-        config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
+        config["fault_count"], config["delay_rows"] = faults.most, shapes["delay_line"][0]
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
         """Scratch of the kernels that advance boats; threads need copies."""
         self._not_reset = set(range(n))
-        n_start = vessel.values["shaft_speed_manoeuvring"]
-        self._default_start = vessel.straight_speed(n_start), n_start
+        self.world_rows = np.zeros((n, record_size(WORLD)))
+        self.worlds = structured(self.world_rows, WORLD)
+        self.worlds["load"] = self.worlds["factors"] = 1.0
+        first = self.kinds[0]
+        self.worlds["speed"], self.worlds["shaft_speed"] = first.speed, first.shaft_speed
+        for name in ("wind_from", "current_north", "current_east"):
+            self.worlds[name] = math.nan
+        self.sea_rows = np.array([sea_record(one) for one in self.seas], SEA).view(float)
+        self.sea_rows = self.sea_rows.reshape(len(self.seas), -1)
+        self._tables = [tuple(DriftTable.of(kind.vessel)) for kind in self.kinds]
+        # which seas kernels draw of each kind of boat; how much shallow hulls reflect, SciPy says
+        known = [not one.vessel.two_hulls or one.vessel.hydro is not None for one in self.kinds]
+        self._compiled = [
+            [one.hs == 0.0 or (is_compiled(one) and drift) for one in self.seas] for drift in known
+        ]
+        self._scratch = np.zeros((4, 8), np.uint64)
+
+    def vessel_of(self, i: int) -> Vessel:
+        """Return the vessel of boat i in this episode."""
+        world = self.worlds[i]
+        flat = self.rows[i, _VESSEL]
+        return self.kinds[int(world["kind"])].boat(world["factors"], flat)
+
+    def sea_of(self, i: int) -> SeaState:
+        """Return the sea state of boat i in this episode."""
+        return self.seas[int(self.worlds["sea"][i])]
 
     def reset(
         self,
@@ -384,7 +396,6 @@ class Simulation:
         speed: float | None = None,
         heading: float = 0.0,
         at: tuple[float, float] = (0.0, 0.0),
-        worlds: Sequence[World] | None = None,
     ) -> None:
         """Put some boats back to the start: straight ahead, by default at the manoeuvring speed.
 
@@ -405,19 +416,14 @@ class Simulation:
             Clockwise from north, rad.
         at : tuple of float
             Place, m north and east.
-        worlds : sequence of World, optional
-            What differs from boat to boat, for each of them; it replaces ``heading``, and the
-            speed if none is given.
 
         Raises
         ------
         SimulationError
             Names the boat, generator or number that cannot be used.
         """
-        start = self._initial_state(speed, heading, at)
+        start = self._checked_start(speed, heading, at)
         boats, rngs = list(boats), list(rngs)
-        if worlds is None:
-            worlds = [World(self.vessel, self._default_start[0], heading)] * len(boats)
         if len(boats) != len(rngs) or not set(boats) <= set(range(self.n)):
             raise SimulationError(
                 f"reset of boats {boats} with {len(rngs)} generator(s): boats count from 0 to "
@@ -428,74 +434,57 @@ class Simulation:
                 raise SimulationError(
                     f"{rng!r} is no generator; use numpy.random.default_rng(seed)"
                 )
-        for i, rng, world in zip(boats, rngs, worlds, strict=True):
-            state = start.copy()
-            state[fr.PSI] = world.heading
-            if speed is None:
-                state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-            streams = spawned(rng, wind=self.suite.has_anemometer)
-            self._begin(int(i), streams, world, state)
+        for i, rng in zip(boats, rngs, strict=True):
+            for name, value in start.items():
+                self.worlds[name][i] = value
+            self.begin(int(i), spawned(rng, wind=self.suite.has_anemometer))
 
-    def begin(self, i: int, streams: Streams, world: World | None = None) -> None:
-        """Put boat i to its start, as :meth:`reset` does, with random numbers of its own.
-
-        ``world`` is what differs from boat to boat.
-        """
-        world = world or World(self.vessel, self._default_start[0])
-        state = np.zeros(fr.STATE_SIZE)
-        state[fr.PSI] = world.heading
-        state[[fr.U, fr.N_LEFT, fr.N_RIGHT]] = self._start_of(world)
-        self._begin(i, streams, world, state)
-
-    def _start_of(self, world: World) -> tuple[float, float, float]:
-        """Return speed (m/s) and shaft speeds (rev/s) at the start."""
-        n = world.vessel.values["shaft_speed_manoeuvring"]
-        return world.speed, n, n
-
-    def _begin(self, i: int, streams: Streams, world: World, state: np.ndarray) -> None:
-        """Put boat i to its start with a state (16,) and what is random about it."""
+    def begin(self, i: int, streams: Streams) -> None:
+        """Put boat i to its start, as its ``worlds`` say, with random numbers of its own."""
         self._not_reset.discard(i)
-        if self.vessels[i] is not world.vessel:
-            self.vessels[i] = world.vessel
-            self._packed[i] = world.vessel.packed
-        several = len(self.seas) > 1
-        sea = choice(self.seas, streams.generator("sea")) if several else self.seas[0]
-        self.drawn_seas[i] = sea
-        wind_from, current = world.wind_from, world.current
-        waves, gusts = streams.generator("waves"), streams.generator("gusts")
-        self._fill(i, sea.realise(world.vessel, waves, gusts, wind_from=wind_from, current=current))
-        if self.faults.shape[1]:
-            self._begin_faults(i, streams.generator("faults"))
-        _start(self.rows[i], self.shared, streams.noise, state, self.factors)
+        row, world, states = self.rows[i], self.world_rows[i], streams.states
+        kind = int(world[0])
+        table, seas = self._tables[kind], self.sea_rows
+        draw_start(row, world, self.shared, states, seas, table, self._faults, self._scratch)
+        sea = int(world[_SEA_AT])
+        if not self._compiled[kind][sea] or self._loads.shape[1] > 0:
+            self._realise(i, self.seas[sea], streams, self._compiled[kind][sea])
+        _start(row, world, self.shared, states, self.factors)
 
-    def _begin_faults(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the faults of boat i, if they are drawn, and write them to its arrays."""
-        given = self._given_faults
-        faults = self.drawn_faults[i] = tuple(given(rng) if callable(given) else given)
-        self._fault_rows[i] = self._no_faults
-        if faults:
-            records = fault_records(faults, self.dt)
-            seed_faults(records, faults, rng)
-            self._fault_rows[i, : len(faults)] = records.view(float).reshape(len(faults), -1)
+    def _realise(self, i: int, state: SeaState, streams: Streams, compiled: bool) -> None:
+        """Do what kernels do not: other seas than the common ones, and loads of a table."""
+        vessel = self.vessel_of(i)
+        if compiled:
+            self._fill_loads(i, vessel, self.waves[i, :, : state.components])
+            return
+        given = self.worlds[i]
+        north, east = given["current_north"].item(), given["current_east"].item()
+        wind_from = given["wind_from"].item()
+        sea = state.realise(
+            vessel,
+            streams.generator("waves"),
+            streams.generator("gusts"),
+            wind_from=None if math.isnan(wind_from) else wind_from,
+            current=None if math.isnan(north) else (north, east),
+        )
+        self._fill(i, sea)
 
-    def _initial_state(
+    def _checked_start(
         self, speed: float | None, heading: float, at: tuple[float, float]
-    ) -> np.ndarray:
-        """Return the state (16,) that boats begin with."""
+    ) -> dict[str, float]:
+        """Return what boats begin with, by the names of WORLD."""
         check_number("heading", heading, -math.tau, math.tau, SimulationError)
         if np.shape(at) != (2,):
             raise SimulationError(f"at = {at!r}: must be two numbers, m north and east")
         for number in at:
             check_number("at", number, -PLACE_MAX, PLACE_MAX, SimulationError)
-        u, n = self._default_start
+        u, n = self.kinds[0].speed, self.kinds[0].shaft_speed
         if speed is not None:
             most = self.vessel.values["shaft_speed_max"]
             top = self.vessel.straight_speed(most)
             check_number("speed", speed, 0.0, top, SimulationError)
             u, n = speed, self.vessel.shaft_speed_for(speed)
-        state = np.zeros(fr.STATE_SIZE)
-        state[[fr.X, fr.Y, fr.PSI, fr.U, fr.N_LEFT, fr.N_RIGHT]] = *at, heading, u, n, n
-        return state
+        return {"x": at[0], "y": at[1], "heading": heading, "speed": u, "shaft_speed": n}
 
     def change_sea(
         self, i: int, sea: str | SeaState, rng: np.random.Generator, *, waves: bool = True
@@ -505,7 +494,7 @@ class Simulation:
         Without ``waves`` the wind alone changes. With six degrees of freedom it is set on the new
         surface, moving with it. The slow changes of the wind begin at its mean.
         """
-        new = SeaState.named(sea).realise(self.vessels[i], *rng.spawn(2))
+        new = SeaState.named(sea).realise(self.vessel_of(i), *rng.spawn(2))
         for kind, array, components in (
             ("waves", self.waves, new.waves),
             ("gusts", self.gusts, new.gusts),
@@ -532,8 +521,12 @@ class Simulation:
             for key, drift in kept.items():
                 self.weather[i][key] = drift
         elif self._loads.shape[1] > 0:
-            loads, self._loads[i] = load_rows(self.vessels[i], sea.waves), 0.0
-            self._loads[i, : len(loads), :, : loads.shape[2]] = loads
+            self._fill_loads(i, self.vessel_of(i), sea.waves)
+
+    def _fill_loads(self, i: int, vessel: Vessel, waves: np.ndarray) -> None:
+        """Write the loads of waves (7, M) on boat i."""
+        loads, self._loads[i] = load_rows(vessel, waves), 0.0
+        self._loads[i, : len(loads), :, : loads.shape[2]] = loads
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step with finite commands (n, 4), rev/s and rad."""

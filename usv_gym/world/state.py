@@ -14,6 +14,7 @@ from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
 from usv_gym.physics.waves import LOAD_ROWS, OMEGA, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
+from usv_gym.vessel.variation import FACTORS
 from usv_gym.world.anemometer import WIND_ROWS
 from usv_gym.world.faults import CHANNELS, FAULT
 from usv_gym.world.sensors import DELAYED, SENSORS, SUITE
@@ -23,7 +24,7 @@ from usv_kernel.jit import inlined
 from usv_kernel.random import STREAM
 from usv_kernel.records import Record, as_records
 
-__all__ = ["BOAT", "SIMULATION", "sea_arrays", "sensor_arrays"]
+__all__ = ["BOAT", "SIMULATION", "WORLD", "sea_arrays", "sensor_arrays"]
 
 BOAT = np.dtype(
     [
@@ -42,6 +43,26 @@ BOAT = np.dtype(
     ]
 )
 """One boat of a simulation."""
+
+WORLD = np.dtype(
+    [
+        ("kind", float),  # place of the vessel among the kinds of boats
+        ("load", float),  # factor of its mass
+        ("factors", float, len(FACTORS)),  # see usv_gym.vessel.variation.FACTORS
+        ("x", float),  # m, start north
+        ("y", float),  # m, start east
+        ("heading", float),  # rad, at the start
+        ("speed", float),  # m/s, ahead over ground, at the start
+        ("shaft_speed", float),  # rev/s, at the start
+        ("wind_from", float),  # rad, where all wind is turned to come from; NaN: as in the sea
+        ("current_north", float),  # m/s; NaN: as in the sea
+        ("current_east", float),
+        ("sea", float),  # place of the sea state
+        ("faults", float),  # place of the set of faults
+        ("fault_start", float),  # s, of those that begin at random
+    ]
+)
+"""What one boat's episode begins with, besides its random numbers."""
 
 SIMULATION = np.dtype(
     [

@@ -9,7 +9,18 @@ from numpy.typing import NDArray
 
 from usv_kernel.streams import Children
 
-__all__ = ["KEYS", "NOISE_STREAMS", "STREAMS", "Streams", "spawned"]
+__all__ = [
+    "FAULTS",
+    "FAULT_SEEDS",
+    "GUSTS",
+    "KEYS",
+    "NOISE_STREAMS",
+    "SEA",
+    "STREAMS",
+    "WAVES",
+    "Streams",
+    "spawned",
+]
 
 STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion", "wind")
 """What has a child of a boat's generator, in their order; the last with an anemometer alone."""
@@ -17,11 +28,15 @@ STREAMS = ("waves", "gusts", "gps", "compass", "imu", "faults", "sea", "motion",
 NOISE_STREAMS = ("gps", "compass", "imu", "motion", "wind", "weather")
 """What is drawn in each step, by kernels; the others are drawn at the start."""
 
-_AT_START = ("waves", "gusts", "sea", "faults")
+_AT_START = ("waves", "gusts", "sea", "faults", "fault_seeds")
+
+WAVES, GUSTS, SEA, FAULTS, FAULT_SEEDS = range(len(NOISE_STREAMS), len(NOISE_STREAMS) + 5)
+"""Places of what is drawn at the start among :data:`KEYS`."""
 
 _PLACES: dict[str, tuple[int, ...]] = {name: (k,) for k, name in enumerate(STREAMS)}
 # with or without gusts, the slow wind is the same
 _PLACES["weather"] = (STREAMS.index("gusts"), 0)
+_PLACES["fault_seeds"] = (STREAMS.index("faults"), 0)
 
 KEYS = tuple(_PLACES[name] for name in (*NOISE_STREAMS, *_AT_START))
 """Children of a boat's generator, see :class:`Children`. What is switched off leaves the others as
@@ -35,9 +50,9 @@ class Streams(NamedTuple):
     """Those of which the first are :data:`KEYS`."""
 
     @property
-    def noise(self) -> NDArray[np.uint64]:
-        """What starts the generators of :data:`NOISE_STREAMS`, shape (6, 4)."""
-        return self.children.states[: len(NOISE_STREAMS)]
+    def states(self) -> NDArray[np.uint64]:
+        """What starts the generator of each of :data:`KEYS`, shape (11 or more, 4)."""
+        return self.children.states
 
     def generator(self, name: str) -> np.random.Generator:
         """Return the generator of what is drawn at the start: waves, gusts, sea or faults."""
