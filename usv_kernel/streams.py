@@ -9,7 +9,6 @@ Source: numpy.random.SeedSequence, after O'Neill 2015 (Developing a seed_seq alt
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
-__all__ = ["Children", "hash_numbers", "state_of"]
+__all__ = ["Children", "Parent", "hash_numbers", "own_words"]
 
 _POOL, _WORDS, _KEY = 4, 8, 3
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
@@ -101,7 +100,7 @@ def _hash(
 
 @kernel
 def hash_numbers(numbers: np.ndarray, scratch: np.ndarray, state: np.ndarray) -> None:
-    """Write what starts ``numpy.random.default_rng(numbers)``; see :func:`state_of`.
+    """Write what starts ``numpy.random.default_rng(numbers)``.
 
     Of the numbers only the first may have more than 32 bits. ``scratch`` (3, 8) and ``state`` (4,)
     are uint64, as all.
@@ -159,6 +158,8 @@ class Children:
         ``(k,)`` is the k-th child, ``(k, j)`` the j-th child of that, and so on, three at most.
     first : int
         The child that is counted as the 0-th one.
+    own : list of int, optional
+        What :func:`own_words` returns of the parent, where it is known.
 
     Attributes
     ----------
@@ -167,12 +168,15 @@ class Children:
     """
 
     def __init__(
-        self, seed: SeedSequence, keys: tuple[tuple[int, ...], ...], first: int = 0
+        self,
+        seed: SeedSequence,
+        keys: tuple[tuple[int, ...], ...],
+        first: int = 0,
+        own: list[int] | None = None,
     ) -> None:
         self._seed, self._keys, self._first = seed, keys, first
-        self._own: list[int] = []
-        if isinstance(seed.entropy, int) and seed.pool_size == _POOL:
-            self._own = _keyed(_words(seed.entropy), seed.spawn_key)
+        self._own = own_words(seed) if own is None else own
+        if self._own:
             self.states = _hashed(self._own, first, keys)
         else:
             each = (self._by_numpy(k) for k in range(len(keys)))
@@ -192,9 +196,42 @@ class Children:
         return Generator(PCG64(seed))  # type: ignore[arg-type]
 
 
-def state_of(numbers: Sequence[int]) -> NDArray[np.uint64]:
-    """Return what starts ``numpy.random.default_rng(numbers)``, of whole numbers, 0 or more."""
-    return _hashed([word for number in numbers for word in _words(number)], 0, ((),))[0]
+def own_words(seed: SeedSequence) -> list[int]:
+    """Return the words of a seed sequence with its key; none if it is of an unusual kind."""
+    if isinstance(seed.entropy, int) and seed.pool_size == _POOL:
+        return _keyed(_words(seed.entropy), seed.spawn_key)
+    return []
+
+
+class Parent:
+    """A generator that has children again and again.
+
+    NumPy makes the children that it counts, which takes as long as much of a reset. So they are
+    counted when somebody asks for the generator, and at once from then on.
+    """
+
+    def __init__(self, generator: Generator, *, shared: bool = False) -> None:
+        self._generator, self._shared = generator, shared
+        self._seed: Any = generator.bit_generator.seed_seq
+        self._own, self._late = own_words(self._seed), 0
+
+    @property
+    def generator(self) -> Generator:
+        """The generator, for others to use."""
+        self._shared = True
+        if self._late:
+            self._seed.spawn(self._late)
+            self._late = 0
+        return self._generator
+
+    def children(self, keys: tuple[tuple[int, ...], ...], count: int) -> Children:
+        """Return children by their keys, of which ``count`` are new."""
+        first = self._seed.n_children_spawned + self._late
+        if self._shared:
+            self._seed.spawn(count)
+        else:
+            self._late += count
+        return Children(self._seed, keys, first, self._own)
 
 
 def _hashed(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> NDArray[np.uint64]:

@@ -60,7 +60,7 @@ from usv_kernel.errors import check_whole
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
-from usv_kernel.streams import Children
+from usv_kernel.streams import Parent
 
 __all__ = [
     "BOUND",
@@ -451,24 +451,21 @@ class Episodes:
         if self._pool:
             self._pool.shutdown()
 
-    def reset(self, i: int, rng: np.random.Generator, obs: np.ndarray) -> None:
+    def reset(self, i: int, parent: Parent, obs: np.ndarray) -> None:
         """Put one boat to the start of an episode.
 
         Parameters
         ----------
         i : int
             Which boat.
-        rng : numpy.random.Generator
+        parent : Parent
             Its generator.
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
         # one child for the simulation, one for the task, and a last one for what differs between
         # episodes: without any, nothing else is drawn
-        seed: Any = rng.bit_generator.seed_seq
-        first = seed.n_children_spawned
-        seed.spawn(2 + self.worlds.active)
-        children, sim = Children(seed, _KEYS, first), self.simulation
+        children, sim = parent.children(_KEYS, 2 + self.worlds.active), self.simulation
         number = self.worlds.draw(children.states[_WORLD], i, sim) if self.worlds.active else 0
         sim.begin(i, Streams(children))
         if sim.fault_sets.most > 0:
@@ -476,7 +473,7 @@ class Episodes:
         kind, world = self.kinds[number], sim.world_rows[i]
         self.memory[i] = 0.0
         self.records[i]["kind"] = number
-        kind.task.reset(i, children, _TASK, sim.worlds["heading"].item(i))
+        kind.task.draw(i, children, _TASK, sim.worlds["heading"].item(i))
         self.actions[:, i] = kind.nominal_action
         notes = world, sim.sea_rows, self.worlds.numbers[i]
         _begin(sim.rows[i], self.memory[i], self.task.points[i], self.shared, notes, obs)

@@ -186,18 +186,18 @@ class Task:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
         return self.records["errors"]
 
-    def reset(self, i: int, children: Children, number: int, heading: float = 0.0) -> None:
-        """Draw the path of boat i, which starts at the origin with a heading (rad).
-
-        The generator is the child of that number.
-        """
+    def draw(self, i: int, children: Children, number: int, heading: float = 0.0) -> None:
+        """Do :meth:`reset` with the generator of a child."""
+        if self._ranges is None:
+            self.reset(i, children.generator(number), heading)
+            return
         self.records[i] = 0.0
         errors = self.records["errors"][i]
-        if self._ranges is not None:
-            words = children.states[number]
-            _draw_path(words, self._ranges, heading, self.points[i], errors)
-            return
-        points = np.asarray(self.path(children.generator(number)), dtype=float)
+        _draw_path(children.states[number], self._ranges, heading, self.points[i], errors)
+
+    def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
+        """Draw the path of boat i, which starts at the origin with a heading (rad)."""
+        points = np.asarray(self.path(rng), dtype=float)
         if points.shape != self.points.shape[1:] or not np.isfinite(points).all():
             raise TaskError(
                 f"{type(self).__name__}.path gave an array of shape {points.shape}: must be finite "
@@ -208,7 +208,8 @@ class Task:
             north, east = points.T
             points = np.stack([c * north - s * east, s * north + c * east], axis=1)
         self.points[i] = points
-        path_errors(0.0, 0.0, heading, self.points[i], 0, errors)
+        self.records[i] = 0.0
+        path_errors(0.0, 0.0, heading, self.points[i], 0, self.records["errors"][i])
 
     def path(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a path (legs + 1, 2), m north and east: the boat starts at (0, 0), heading north.

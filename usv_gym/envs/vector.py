@@ -19,6 +19,7 @@ from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.world.simulation import BOATS_MAX
 from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
+from usv_kernel.streams import Parent
 
 __all__ = [
     "USVVectorEnv",
@@ -121,7 +122,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._rngs: list[np.random.Generator | None] = [None] * self.num_envs
+        self._parents: list[Parent | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
         size = full_size(self.episodes, self.observer)
         self._obs = np.zeros((self.num_envs, size), np.float32)
@@ -141,14 +142,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Generator of each boat."""
-        return tuple(self._rng(i) for i in range(self.num_envs))
+        return tuple(self._parent(i).generator for i in range(self.num_envs))
 
-    def _rng(self, i: int, seed: int | None = None) -> np.random.Generator:
-        rng = self._rngs[i]
-        if rng is None or seed is not None:
-            rng, self._seeds[i] = seeding.np_random(seed)
-            self._rngs[i] = rng
-        return rng
+    def _parent(self, i: int, seed: int | None = None) -> Parent:
+        parent = self._parents[i]
+        if parent is None or seed is not None:
+            generator, self._seeds[i] = seeding.np_random(seed)
+            parent = self._parents[i] = Parent(generator)
+        return parent
 
     def reset(
         self,
@@ -211,7 +212,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                     f"more, of shape ({n},)"
                 )
         for i in np.flatnonzero(mask):
-            self._rng(int(i), seeds[i])
+            self._parent(int(i), seeds[i])
         self._restart(mask)
         if limits is not None:
             self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
@@ -222,14 +223,16 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _restart(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
-        for i in np.flatnonzero(mask):
-            one = slice(int(i), int(i) + 1)
-            self.episodes.reset(int(i), self._rng(int(i)), self._obs[i])
+        chosen = np.flatnonzero(mask).tolist()
+        for i in chosen:
+            self.episodes.reset(i, self._parent(i), self._obs[i])
             if self.observer:
-                self.observer.reset(int(i))
-                self.observer.observe(self._obs, rows=one)
+                self.observer.reset(i)
             if self.recorder:
-                self.recorder.reset(int(i))
+                self.recorder.reset(i)
+        if self.observer:
+            for rows in runs_of(chosen):
+                self.observer.observe(self._obs, rows=rows)
         self._not_reset[mask] = False
         self._limits[mask] = self._limit
 
@@ -345,6 +348,17 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.episodes.close()
         if self.renderer:
             self.renderer.close()
+
+
+def runs_of(chosen: Sequence[int]) -> list[slice]:
+    """Return rising numbers as slices."""
+    runs: list[slice] = []
+    for i in chosen:
+        if runs and runs[-1].stop == i:
+            runs[-1] = slice(runs[-1].start, i + 1)
+        else:
+            runs.append(slice(i, i + 1))
+    return runs
 
 
 def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> Info:
