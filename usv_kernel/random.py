@@ -121,7 +121,7 @@ def below(stream: np.ndarray, count: int) -> int:
         for half in (word & _LOW, word >> _HALF):
             product = half * size
             if product & _LOW >= least:
-                return np.int64(product >> _HALF)
+                return np.int64(product >> _HALF)  # type: ignore[return-value]
 
 
 @kernel
@@ -171,14 +171,16 @@ def _tail(stream: np.ndarray) -> float:
 def borrowed_stream(rng: np.random.Generator) -> Iterator[NDArray[np.uint64]]:
     """Lend the state (4,) of a generator to kernels, and let it go on where they end.
 
-    ValueError: it is no PCG64, which :func:`numpy.random.default_rng` makes.
+    Of another kind than PCG64, which :func:`numpy.random.default_rng` makes, it starts one.
     """
-    generator: Any = rng.bit_generator
-    kept = generator.state
+    generator, stream = rng.bit_generator, np.empty(STREAM, np.uint64)
+    kept: Any = generator.state
     if kept["bit_generator"] != "PCG64":
-        raise ValueError(f"{rng!r}: use a generator of numpy.random.default_rng(seed)")
-    numbers = kept["state"]["state"], kept["state"]["inc"]
-    stream = np.array([part for one in numbers for part in divmod(one, 2**64)], np.uint64)
+        start_stream(rng.integers(2**64, size=STREAM, dtype=np.uint64), stream)
+        yield stream
+        return
+    state, increment = kept["state"]["state"], kept["state"]["inc"]
+    stream[:] = *divmod(state, 2**64), *divmod(increment, 2**64)
     yield stream
     high, low = stream[:2].tolist()
     kept["state"]["state"] = (high << 64) | low

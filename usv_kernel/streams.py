@@ -20,6 +20,8 @@ from usv_kernel.jit import kernel
 
 __all__ = ["Children", "Parent", "hash_numbers", "own_words"]
 
+Words = NDArray[np.uint64]
+
 _POOL, _WORDS, _KEY = 4, 8, 3
 """Words of 32 bits of a pool, and of a state; most words of a child's key."""
 
@@ -118,17 +120,17 @@ def hash_numbers(numbers: np.ndarray, scratch: np.ndarray, state: np.ndarray) ->
 class _Seed(ISpawnableSeedSequence):
     """Hands a bit generator the state that was hashed for it, and spawns as NumPy's does."""
 
-    def __init__(self, words: NDArray[np.uint64], own: list[int], key: tuple[int, ...]) -> None:
+    def __init__(self, words: Words, own: Words, key: tuple[int, ...]) -> None:
         self._state, self._own, self._key, self._spawned = words, own, key, 0
 
-    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[np.uint64]:
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Words:
         """Return the words; a PCG64 asks for four of 64 bits."""
         return self._state
 
     def spawn(self, n_children: int) -> list[_Seed]:
         """Return the next children."""
         first, self._spawned = self._spawned, self._spawned + n_children
-        own = _keyed(self._own, self._key)
+        own = _keyed(self._own.tolist(), self._key)
         states = _hashed(own, first, tuple((k,) for k in range(n_children)))
         return [_Seed(state, own, (first + k,)) for k, state in enumerate(states)]
 
@@ -141,10 +143,10 @@ def _words(number: int) -> list[int]:
     return found
 
 
-def _keyed(own: list[int], key: tuple[int, ...]) -> list[int]:
+def _keyed(own: list[int], key: tuple[int, ...]) -> Words:
     """Return a parent's words with its own key, which begins where a pool of zeros would end."""
     filled = own + [0] * (_POOL - len(own))
-    return filled + [word for number in key for word in _words(number)]
+    return np.array(filled + [word for number in key for word in _words(number)], np.uint64)
 
 
 class Children:
@@ -158,7 +160,7 @@ class Children:
         ``(k,)`` is the k-th child, ``(k, j)`` the j-th child of that, and so on, three at most.
     first : int
         The child that is counted as the 0-th one.
-    own : list of int, optional
+    own : ndarray of uint64, optional
         What :func:`own_words` returns of the parent, where it is known.
 
     Attributes
@@ -172,11 +174,11 @@ class Children:
         seed: SeedSequence,
         keys: tuple[tuple[int, ...], ...],
         first: int = 0,
-        own: list[int] | None = None,
+        own: Words | None = None,
     ) -> None:
         self._seed, self._keys, self._first = seed, keys, first
         self._own = own_words(seed) if own is None else own
-        if self._own:
+        if self._own.size:
             self.states = _hashed(self._own, first, keys)
         else:
             each = (self._by_numpy(k) for k in range(len(keys)))
@@ -189,18 +191,18 @@ class Children:
 
     def generator(self, k: int) -> Generator:
         """Return that of the k-th key, equal to what :meth:`numpy.random.Generator.spawn` gives."""
-        if not self._own:
+        if not self._own.size:
             return Generator(PCG64(self._by_numpy(k)))
         one, *more = self._keys[k]
         seed = _Seed(self.states[k], self._own, (self._first + one, *more))
         return Generator(PCG64(seed))  # type: ignore[arg-type]
 
 
-def own_words(seed: SeedSequence) -> list[int]:
+def own_words(seed: SeedSequence) -> Words:
     """Return the words of a seed sequence with its key; none if it is of an unusual kind."""
     if isinstance(seed.entropy, int) and seed.pool_size == _POOL:
         return _keyed(_words(seed.entropy), seed.spawn_key)
-    return []
+    return np.empty(0, np.uint64)
 
 
 class Parent:
@@ -212,8 +214,8 @@ class Parent:
 
     def __init__(self, generator: Generator, *, shared: bool = False) -> None:
         self._generator, self._shared = generator, shared
-        self._seed: Any = generator.bit_generator.seed_seq
-        self._own, self._late = own_words(self._seed), 0
+        seed: Any = generator.bit_generator.seed_seq
+        self._seed, self._own, self._late = seed, own_words(seed), 0
 
     @property
     def generator(self) -> Generator:
@@ -234,11 +236,11 @@ class Parent:
         return Children(self._seed, keys, first, self._own)
 
 
-def _hashed(own: list[int], first: int, keys: tuple[tuple[int, ...], ...]) -> NDArray[np.uint64]:
+def _hashed(own: Words, first: int, keys: tuple[tuple[int, ...], ...]) -> Words:
     """Return the states (K, 4) of children of a parent of so many words, from ``first`` on."""
     padded, sizes = _arrays(keys)
     states = np.empty((len(keys) + 1, _WORDS // 2), dtype=np.uint64)
-    _hash(np.array(own, dtype=np.uint64), first, padded, sizes, states)
+    _hash(own, first, padded, sizes, states)
     return states[:-1]
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usv_kernel.random import STREAM, next_word, start_stream
-from usv_kernel.streams import Children, state_of
+from usv_kernel.streams import Children, Parent, hash_numbers
 
 KEYS = ((0,), (3,), (1, 0), (7, 2))
 
@@ -44,8 +44,29 @@ def test_children_from_a_first_one_on_are_those_that_numpy_spawns(first, key) ->
         assert one.bit_generator.state == np.random.default_rng(whole).bit_generator.state
 
 
-@given(st.lists(st.integers(0, 2**70), min_size=1, max_size=7))
-def test_states_of_numbers_are_those_of_numpy(numbers) -> None:
-    stream = np.zeros(STREAM, dtype=np.uint64)
-    start_stream(state_of(numbers), stream)
-    assert int(next_word(stream)) == np.random.PCG64(numbers).random_raw()
+@given(st.integers(0, 2**64 - 1), st.lists(st.integers(0, 2**32 - 1), max_size=5))
+def test_states_of_numbers_are_those_of_numpy(first, others) -> None:
+    scratch, stream = np.zeros((3, 8), np.uint64), np.zeros(STREAM, np.uint64)
+    hash_numbers(np.array([first, *others], np.uint64), scratch, stream)
+    start_stream(stream, stream)
+    assert int(next_word(stream)) == np.random.PCG64([first, *others]).random_raw()
+
+
+@given(st.lists(st.sampled_from([0, 1, 3]), max_size=6))
+def test_children_of_a_parent_are_counted_whenever_it_is_asked_for(counts) -> None:
+    """However often somebody looks, children are those that NumPy spawns."""
+    keys = ((0,), (1, 0), (2,))
+    quiet, looked = (Parent(np.random.default_rng(8)) for _ in "ab")
+    theirs = np.random.default_rng(8)
+    for count in counts:
+        one, other = quiet.children(keys, count), looked.children(keys, count)
+        np.testing.assert_array_equal(one.states, other.states)
+        spawned = [child.random() for child in theirs.spawn(count)]
+        if count == 3:
+            assert [one.generator(k).random() for k in (0, 2)] == [spawned[0], spawned[2]]
+        assert looked.generator.bit_generator.seed_seq.n_children_spawned == sum_of(theirs)
+    assert sum_of(quiet.generator) == sum_of(theirs)
+
+
+def sum_of(rng: np.random.Generator) -> int:
+    return rng.bit_generator.seed_seq.n_children_spawned

@@ -228,7 +228,6 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._action = self.episodes.actions[1, 0]
         self._progress = self.episodes.memory[0, : record_size(TASK)]
         self._time = self.simulation.t
-        self._drawn = self.episodes.worlds.drawn
         self._started = False
         self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
         self.render_mode = render_mode
@@ -267,7 +266,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.recorder.reset(0)
         self._show()
         info = self._info(self._progress.tolist())
-        info["drawn"] = {key: values.item(0) for key, values in self._drawn.items()}
+        info["drawn"] = self.episodes.worlds.drawn(0)
         return self._shown(obs), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:

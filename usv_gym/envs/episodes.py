@@ -58,7 +58,7 @@ from usv_kernel.channels import (
 )
 from usv_kernel.errors import check_whole
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import Record, as_record, record_size, structured
+from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.scalar import sincos
 from usv_kernel.streams import Parent
 
@@ -147,6 +147,8 @@ _KEYS = (*((0, *key) for key in KEYS), (1,), (2,))
 """Children of a boat's generator: those of the simulation, then for the task, and for the world."""
 
 _TASK, _WORLD = len(_KEYS) - 2, len(_KEYS) - 1
+
+_HEADING = field_at(WORLD, "heading")
 
 
 class CapsizeWarning(UserWarning):
@@ -306,6 +308,7 @@ def _begin(
     """
     boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
     begin = as_record(notes[0], WORLD)
+    memory.kind = begin.kind
     config = as_record(shared[int(memory.kind)], EPISODES)
     note_drawn(boat, begin, as_record(notes[1][int(begin.sea)], SEA), notes[2])
     _hold(boat, memory, points, config)
@@ -470,13 +473,12 @@ class Episodes:
         sim.begin(i, Streams(children))
         if sim.fault_sets.most > 0:
             self.worlds.note_faults(i, sim)
-        kind, world = self.kinds[number], sim.world_rows[i]
-        self.memory[i] = 0.0
-        self.records[i]["kind"] = number
-        kind.task.draw(i, children, _TASK, sim.worlds["heading"].item(i))
+        kind, world, memory = self.kinds[number], sim.world_rows[i], self.memory[i]
+        memory[:] = 0.0
+        kind.task.draw(i, children, _TASK, world[_HEADING])
         self.actions[:, i] = kind.nominal_action
         notes = world, sim.sea_rows, self.worlds.numbers[i]
-        _begin(sim.rows[i], self.memory[i], self.task.points[i], self.shared, notes, obs)
+        _begin(sim.rows[i], memory, self.task.points[i], self.shared, notes, obs)
 
     def step(self, obs: np.ndarray, callbacks: Sequence[StepCallback] = ()) -> bool:
         """Take the steps of one decision by ``actions[1]``.

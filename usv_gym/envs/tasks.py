@@ -187,13 +187,12 @@ class Task:
         return self.records["errors"]
 
     def draw(self, i: int, children: Children, number: int, heading: float = 0.0) -> None:
-        """Do :meth:`reset` with the generator of a child."""
+        """Do :meth:`reset` with the generator of a child, where the records are zeros."""
         if self._ranges is None:
             self.reset(i, children.generator(number), heading)
             return
-        self.records[i] = 0.0
-        errors = self.records["errors"][i]
-        _draw_path(children.states[number], self._ranges, heading, self.points[i], errors)
+        words, errors = children.states[number], self.records["errors"][i]
+        _draw_path(words, self._ranges, heading, self.points[i], errors)
 
     def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
         """Draw the path of boat i, which starts at the origin with a heading (rad)."""

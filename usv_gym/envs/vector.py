@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +17,7 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import Recorder, full_size, names_of, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
+from usv_gym.envs.worlds import DRAWN
 from usv_gym.world.simulation import BOATS_MAX
 from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
 from usv_kernel.streams import Parent
@@ -176,8 +177,11 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         self._refuse_closed()
         n = self.num_envs
-        if seed is None or isinstance(seed, (int, np.integer)):
-            seeds = [None if seed is None else int(seed) + i for i in range(n)]
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * n
+        elif isinstance(seed, (int, np.integer)):
+            seeds = [int(seed) + i for i in range(n)]
         else:
             try:
                 seeds = [None if one is None else operator.index(one) for one in seed]
@@ -211,30 +215,31 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                     "options['first_episode_steps'] must be an array of whole numbers, 1 or "
                     f"more, of shape ({n},)"
                 )
-        for i in np.flatnonzero(mask):
-            self._parent(int(i), seeds[i])
-        self._restart(mask)
+        chosen = Chosen.of(mask)
+        for i in chosen.numbers:
+            self._parent(i, seeds[i])
+        self._restart(chosen)
         if limits is not None:
             self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()
-        return self._shown(), self._infos(mask) | self._drawn(mask)
+        return self._shown(), self._infos(chosen) | self._drawn(chosen)
 
-    def _restart(self, mask: np.ndarray) -> None:
+    def _restart(self, chosen: Chosen) -> None:
         """Reset some boats, and write their observations."""
-        chosen = np.flatnonzero(mask).tolist()
-        for i in chosen:
+        for i in chosen.numbers:
             self.episodes.reset(i, self._parent(i), self._obs[i])
             if self.observer:
                 self.observer.reset(i)
             if self.recorder:
                 self.recorder.reset(i)
         if self.observer:
-            for rows in runs_of(chosen):
+            for rows in chosen.runs:
                 self.observer.observe(self._obs, rows=rows)
-        self._not_reset[mask] = False
-        self._limits[mask] = self._limit
+        for rows in chosen.runs:
+            self._not_reset[rows] = False
+            self._limits[rows] = self._limit
 
     def step(
         self, actions: np.ndarray
@@ -277,8 +282,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"action of {np.flatnonzero(bad).tolist()} holds NaN or infinity; every entry "
                 "must lie in [-1, 1]"
             )
-        if late.any():
-            self._restart(late)
+        begun = Chosen.of(late)
+        if begun.runs:
+            self._restart(begun)
             self.episodes.records["idle_steps"][late] = self.frame_skip
         self.episodes.actions[1] = values
         self.episodes.step(self._obs, self._callbacks)
@@ -293,14 +299,15 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             shown = self._shown()
             for i in np.flatnonzero(over):
                 final[i] = shown[i].copy()
-            ended = self._infos(over)
-            self._restart(over)
-            infos = self._infos(None) | self._drawn(over)
+            begun = Chosen.of(over)
+            ended = self._infos(begun)
+            self._restart(begun)
+            infos = self._infos(None) | self._drawn(begun)
             infos |= {"final_obs": final, "_final_obs": over.copy()}
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
         else:
-            infos = self._infos(None) | self._drawn(late)
+            infos = self._infos(None) | self._drawn(begun)
         self._over = over
         if self.renderer:
             self.renderer.look()
@@ -315,7 +322,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._refuse_closed()
         return pictures(self.renderer, not self._not_reset.any())
 
-    def _infos(self, mask: np.ndarray | None) -> Info:
+    def _infos(self, chosen: Chosen | None) -> Info:
         """Return the infos of some boats, or of all of them."""
         record = self.task.records
         terms = {name: record["terms"][:, k] for k, name in enumerate(self.task.terms)}
@@ -327,17 +334,22 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "capsized": record["capsized"] != 0.0,
             **(self.observer.infos() if self.observer else {}),
         }
-        infos = masked(values, mask, self.num_envs)
-        infos["reward_terms"] = masked(terms, mask, self.num_envs)
+        infos = masked(values, chosen, self.num_envs)
+        infos["reward_terms"] = masked(terms, chosen, self.num_envs)
         infos["_reward_terms"] = infos["_t_s"]
         return infos
 
-    def _drawn(self, begun: np.ndarray) -> Info:
+    def _drawn(self, begun: Chosen) -> Info:
         """Return what was drawn of the episodes that begin now; nothing where none does."""
-        if not begun.any():
+        if not begun.runs:
             return {}
-        drawn = masked(self.episodes.worlds.drawn, begun, self.num_envs)
-        return {"drawn": drawn, "_drawn": begun.copy()}
+        worlds, numbers = self.episodes.worlds, np.zeros((self.num_envs, len(DRAWN)))
+        for rows in begun.runs:
+            numbers[rows] = worlds.numbers[rows]
+        drawn = masked(worlds.names, begun, self.num_envs)
+        for k, name in enumerate(DRAWN):
+            drawn[name], drawn[f"_{name}"] = numbers[:, k], drawn["_vessel"]
+        return {"drawn": drawn, "_drawn": begun.mask.copy()}
 
     def _refuse_closed(self) -> None:
         if self.closed:
@@ -350,23 +362,38 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.renderer.close()
 
 
-def runs_of(chosen: Sequence[int]) -> list[slice]:
-    """Return rising numbers as slices."""
-    runs: list[slice] = []
-    for i in chosen:
-        if runs and runs[-1].stop == i:
-            runs[-1] = slice(runs[-1].start, i + 1)
-        else:
-            runs.append(slice(i, i + 1))
-    return runs
+class Chosen(NamedTuple):
+    """Some of the boats."""
+
+    mask: np.ndarray
+    """Whether each is one of them (n,)."""
+    numbers: list[int]
+    runs: list[slice]
+    """The same as slices, one for neighbours: they take less time than a mask."""
+
+    @classmethod
+    def of(cls, mask: np.ndarray) -> Chosen:
+        """Return the boats of a mask."""
+        numbers: list[int] = mask.nonzero()[0].tolist()
+        runs: list[slice] = []
+        for i in numbers:
+            if runs and runs[-1].stop == i:
+                runs[-1] = slice(runs[-1].start, i + 1)
+            else:
+                runs.append(slice(i, i + 1))
+        return cls(mask, numbers, runs)
 
 
-def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> Info:
+def masked(values: dict[str, np.ndarray], chosen: Chosen | None, n: int) -> Info:
     """Return infos as Gymnasium's vector environments do: each key, and where it holds."""
-    where = np.ones(n, dtype=np.bool_) if mask is None else mask.copy()
-    infos: Info = {}
-    for key, value in values.items():
-        none: Any = None if value.dtype == object else value.dtype.type(0)
-        infos[key] = value.copy() if mask is None else np.where(mask, value, none)
-        infos[f"_{key}"] = where
-    return infos
+    if chosen is None:
+        where, infos = np.ones(n, dtype=np.bool_), {key: values[key].copy() for key in values}
+    else:
+        where, infos = chosen.mask.copy(), {}
+        for key, value in values.items():
+            # elsewhere 0, or None
+            shown = np.empty(n, object) if value.dtype.hasobject else np.zeros(n, value.dtype)
+            for rows in chosen.runs:
+                shown[rows] = value[rows]
+            infos[key] = shown
+    return infos | {f"_{key}": where for key in values}

@@ -56,6 +56,8 @@ _VESSEL_AT, _VESSEL_SIZE = field_at(BOAT, "vessel"), record_size(PARAMETERS)
 
 _FACTORS = slice(field_at(WORLD, "factors"), field_at(WORLD, "factors") + len(FACTORS))
 
+_FAULTS = slice(field_at(WORLD, "faults"), field_at(WORLD, "fault_start") + 1)
+
 _UNDRAWN = (math.nan, math.nan)
 
 
@@ -130,8 +132,8 @@ class Worlds:
         Whether anything is drawn or changed here; if not, :meth:`draw` is not called.
     numbers : ndarray, shape (n, 7)
         Those of :data:`DRAWN`.
-    drawn : dict of str to ndarray
-        What stands in ``info["drawn"]``, an array (n, ...) for each key.
+    names : dict of str to ndarray
+        What else stands in ``info["drawn"]``, an array (n,) of objects for each key.
     """
 
     def __init__(self, n: int, config: EnvConfig, vessels: Sequence[Vessel]) -> None:
@@ -150,15 +152,19 @@ class Worlds:
         self._spans, self._scratch = np.array(spans), scratch_of_draws()
         self._laws = np.stack([kind.law for kind in self.kinds])
         self.numbers = np.zeros((n, len(DRAWN)))
-        self.drawn: dict[str, np.ndarray] = {
+        self.names: dict[str, np.ndarray] = {
             "vessel": np.full(n, vessels[0].name, dtype=object),
-            "vessel_factors": np.full(n, None, dtype=object),
-            **{name: self.numbers[:, k] for k, name in enumerate(DRAWN)},
+            "vessel_factors": np.empty(n, dtype=object),
             "faults": np.full(n, "none", dtype=object),
         }
         same = Factors(*[1.0] * len(FACTORS))
         for i in range(n):
-            self.drawn["vessel_factors"][i] = same
+            self.names["vessel_factors"][i] = same
+
+    def drawn(self, i: int) -> dict[str, Any]:
+        """Return what stands in ``info["drawn"]`` of boat i."""
+        numbers = zip(DRAWN, self.numbers[i].tolist(), strict=True)
+        return {**{key: values[i] for key, values in self.names.items()}, **dict(numbers)}
 
     def draw(self, words: np.ndarray, i: int, simulation: Simulation) -> int:
         """Draw the next episode of boat i, and return which kind of boat it has.
@@ -170,16 +176,15 @@ class Worlds:
         kind = int(world[0])
         if not speed > 0.0:
             raise self.kinds[kind].refusal(speed, world[1].item())
-        self.drawn["vessel"][i] = self.kinds[kind].vessel.name
+        self.names["vessel"][i] = self.kinds[kind].vessel.name
         if self._varies:
-            self.drawn["vessel_factors"][i] = Factors(*world[_FACTORS].tolist())
+            self.names["vessel_factors"][i] = Factors(*world[_FACTORS].tolist())
         return kind
 
     def note_faults(self, i: int, simulation: Simulation) -> None:
         """Remember which faults the episode of boat i has."""
-        world = simulation.worlds[i]
-        text = simulation.fault_sets.text(int(world["faults"]), world["fault_start"].item())
-        self.drawn["faults"][i] = text
+        number, start = simulation.world_rows[i, _FAULTS].tolist()
+        self.names["faults"][i] = simulation.fault_sets.text(int(number), start)
 
 
 def vessels_of(config: EnvConfig) -> tuple[Vessel, ...]:

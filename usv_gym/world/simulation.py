@@ -370,7 +370,8 @@ class Simulation:
             self.worlds[name] = math.nan
         self.sea_rows = np.array([sea_record(one) for one in self.seas], SEA).view(float)
         self.sea_rows = self.sea_rows.reshape(len(self.seas), -1)
-        self._tables = [tuple(DriftTable.of(kind.vessel)) for kind in self.kinds]
+        # kernels take plain tuples from Python much faster
+        self._tables: list[Any] = [tuple(DriftTable.of(kind.vessel)) for kind in self.kinds]
         # which seas kernels draw of each kind of boat; how much shallow hulls reflect, SciPy says
         known = [not one.vessel.two_hulls or one.vessel.hydro is not None for one in self.kinds]
         self._compiled = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import COMPASS, GPS, IMU
 from usv_gym.world.simulation import Simulation, SimulationError
+from usv_gym.world.start import FaultSets
 
 BOAT = Vessel.load("usv75")
 SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)
@@ -20,8 +21,7 @@ STEPS = 612
 CMD = np.random.default_rng(9).uniform([5, 5, -0.4, -0.4], [25, 25, 0.4, 0.4], (STEPS, 4))
 
 
-def gps_loss(rng: np.random.Generator) -> Sequence[Fault]:
-    return (Fault("gps", rng.uniform(2.0, 8.0), 3.0),)
+GPS_LOSS = FaultSets([[Fault("gps", 0.0, 3.0)]], [[True]], (2.0, 8.0))
 
 
 def run(seed: int = 3, steps: int = STEPS, **kwargs: object) -> tuple[np.ndarray, np.ndarray]:
@@ -38,9 +38,9 @@ def run(seed: int = 3, steps: int = STEPS, **kwargs: object) -> tuple[np.ndarray
 
 def test_each_of_many_boats_is_a_boat_alone() -> None:
     """Bit for bit: the physics is written once."""
-    many = Simulation(3, BOAT, SEA, faults=gps_loss)
+    many = Simulation(3, BOAT, SEA, faults=GPS_LOSS)
     many.reset([0, 1, 2], [np.random.default_rng(seed) for seed in (7, 8, 9)])
-    alone = [Simulation(1, BOAT, SEA, faults=gps_loss) for _ in range(3)]
+    alone = [Simulation(1, BOAT, SEA, faults=GPS_LOSS) for _ in range(3)]
     for sim, seed in zip(alone, (7, 8, 9), strict=True):
         sim.reset([0], [np.random.default_rng(seed)])
     for k in range(STEPS):
@@ -69,7 +69,7 @@ def test_a_seed_is_a_run() -> None:
 
 
 def test_a_reset_boat_remembers_nothing() -> None:
-    sim = Simulation(1, BOAT, SEA, faults=gps_loss)
+    sim = Simulation(1, BOAT, SEA, faults=GPS_LOSS)
     runs = []
     for _ in range(2):
         sim.reset([0], [np.random.default_rng(3)])
@@ -84,7 +84,7 @@ def test_sensors_do_not_move_the_boat() -> None:
     states, _ = run()
     perfect, _ = run(suite=SensorSuite.perfect())
     np.testing.assert_array_equal(states, perfect)
-    faulty, _ = run(faults=gps_loss)
+    faulty, _ = run(faults=GPS_LOSS)
     np.testing.assert_array_equal(states, faulty)
 
 
@@ -109,7 +109,7 @@ def test_one_sensor_does_not_touch_the_noise_of_another(
 
 def test_a_loss_only_takes_samples_away() -> None:
     _, z = run()
-    _, lossy = run(faults=gps_loss)
+    _, lossy = run(faults=GPS_LOSS)
     kept = np.isfinite(lossy)
     np.testing.assert_array_equal(z[kept], lossy[kept])
     gone = np.isfinite(z) & ~kept

@@ -17,7 +17,8 @@ def test_streams_are_the_children_of_the_generator() -> None:
     for _ in range(2):  # a second time others are spawned
         found, expected = spawned(ours, wind=True), dict(zip(STREAMS, theirs.spawn(9), strict=True))
         (expected["weather"],) = expected["gusts"].spawn(1)
-        for name, words in zip(NOISE_STREAMS, found.noise, strict=True):
+        (expected["fault_seeds"],) = expected["faults"].spawn(1)
+        for name, words in zip(NOISE_STREAMS, found.states[: len(NOISE_STREAMS)], strict=True):
             start_stream(words, stream)
             fill_normal(stream, number)
             assert number[0] == expected.pop(name).standard_normal(), name
@@ -30,7 +31,7 @@ def test_a_generator_of_another_kind_has_the_same_children() -> None:
     twister = np.random.Generator(np.random.MT19937(sequence))
     one = spawned(twister, wind=False)
     other = spawned(np.random.default_rng(5), wind=False)
-    np.testing.assert_array_equal(one.noise, other.noise)
+    np.testing.assert_array_equal(one.states, other.states)
     assert one.generator("sea").random() == other.generator("sea").random()
     assert sequence.n_children_spawned == 8
 
