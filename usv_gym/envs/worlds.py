@@ -54,6 +54,7 @@ _NUMBERS = 6
 
 _VESSEL_AT, _VESSEL_SIZE = field_at(BOAT, "vessel"), record_size(PARAMETERS)
 
+_KIND_AT, _LOAD_AT = field_at(WORLD, "kind"), field_at(WORLD, "load")
 _FACTORS = slice(field_at(WORLD, "factors"), field_at(WORLD, "factors") + len(FACTORS))
 
 _FAULTS = slice(field_at(WORLD, "faults"), field_at(WORLD, "fault_start") + 1)
@@ -173,9 +174,9 @@ class Worlds:
         """
         row, world = simulation.rows[i], simulation.world_rows[i]
         speed = _draw(words, self._spans, self._laws, row, world, self._scratch)
-        kind = int(world[0])
+        kind = int(world[_KIND_AT])
         if not speed > 0.0:
-            raise self.kinds[kind].refusal(speed, world[1].item())
+            raise self.kinds[kind].refusal(speed, world[_LOAD_AT].item())
         self.names["vessel"][i] = self.kinds[kind].vessel.name
         if self._varies:
             self.names["vessel_factors"][i] = Factors(*world[_FACTORS].tolist())

@@ -66,7 +66,7 @@ _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
-_SEA_AT = field_at(WORLD, "sea")
+_KIND_AT, _SEA_AT = field_at(WORLD, "kind"), field_at(WORLD, "sea")
 _VESSEL = slice(field_at(BOAT, "vessel"), field_at(BOAT, "vessel") + record_size(par.PARAMETERS))
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
@@ -370,12 +370,16 @@ class Simulation:
             self.worlds[name] = math.nan
         self.sea_rows = np.array([sea_record(one) for one in self.seas], SEA).view(float)
         self.sea_rows = self.sea_rows.reshape(len(self.seas), -1)
+        tables = [DriftTable.of(kind.vessel) for kind in self.kinds]
         # kernels take plain tuples from Python much faster
-        self._tables: list[Any] = [tuple(DriftTable.of(kind.vessel)) for kind in self.kinds]
+        self._tables: list[Any] = [tuple(table) for table in tables]
         # which seas kernels draw of each kind of boat; how much shallow hulls reflect, SciPy says
-        known = [not one.vessel.two_hulls or one.vessel.hydro is not None for one in self.kinds]
         self._compiled = [
-            [one.hs == 0.0 or (is_compiled(one) and drift) for one in self.seas] for drift in known
+            [sea.hs == 0.0 or (is_compiled(sea) and known) for sea in self.seas]
+            for known in (
+                table.omega.size > 0 or not kind.vessel.two_hulls
+                for table, kind in zip(tables, self.kinds, strict=True)
+            )
         ]
         self._scratch = np.zeros((4, 8), np.uint64)
 
@@ -444,7 +448,7 @@ class Simulation:
         """Put boat i to its start, as its ``worlds`` say, with random numbers of its own."""
         self._not_reset.discard(i)
         row, world, states = self.rows[i], self.world_rows[i], streams.states
-        kind = int(world[0])
+        kind = int(world[_KIND_AT])
         table, seas = self._tables[kind], self.sea_rows
         draw_start(row, world, self.shared, states, seas, table, self._faults, self._scratch)
         sea = int(world[_SEA_AT])

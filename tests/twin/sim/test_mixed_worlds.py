@@ -60,7 +60,7 @@ def test_twins_know_the_nominal_vessel_only() -> None:
         drawn = env.reset(seed=seed)[1]["drawn"]
         nominal = Vessel.load(drawn["vessel"])
         assert env.twin.particulars == particulars_of(nominal)
-        assert env.simulation.vessels[0].values["mass"] != nominal.values["mass"]
+        assert env.simulation.vessel_of(0).values["mass"] != nominal.values["mass"]
 
 
 def test_what_needs_one_boat_refuses_several() -> None:

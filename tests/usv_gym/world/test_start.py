@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -34,6 +35,9 @@ BOATS = {
     "kvlcc2_l7": Vessel.load("kvlcc2_l7"),
     "no table": Vessel.load("usv75").without_table(),
     "two hulls": Vessel.load("otter").without_table(),
+    "table without drift": Vessel.load("otter").with_table(
+        dataclasses.replace(Vessel.load("otter").hydro, drift=None)
+    ),
 }
 
 
