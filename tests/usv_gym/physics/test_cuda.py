@@ -1,4 +1,7 @@
-"""The kernels of ship and twin compile for a GPU from the same source, to PTX; none is needed."""
+"""The kernels of ship and twin compile for a GPU from the same source, to PTX; none is needed.
+
+Where there is one, they run on it.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,7 @@ from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 from usv_gym.world.simulation import Simulation, advance
 from usv_gym.world.state import SIMULATION
+from usv_kernel import jit
 from usv_kernel.records import as_record
 
 pytest.importorskip("numba_cuda", reason="needs numba-cuda: pip install 'usv-twin[cuda]'")
@@ -46,10 +50,15 @@ BOAT = particulars_of(Vessel.load("usv75"))
 # each a kernel of a thread per boat: what all boats share comes whole, and of the rest a row
 
 
+@jit.kernel
+def advance_flat(row, shared, factors):
+    advance(row, as_record(shared, SIMULATION), factors)
+
+
 def simulate(rows, shared, factors):
     i = cuda.grid(1)
     if i < rows.shape[0]:
-        advance(rows[i], as_record(shared, SIMULATION), factors[i])
+        advance_flat(rows[i], shared, factors[i])
 
 
 def correct(state, h, config, work, z, mask, R):
@@ -84,6 +93,8 @@ def each(*arrays):
 
 def of_simulation():
     simulation = Simulation(N, "usv75", "2", dof=6)
+    simulation.reset(range(N), [np.random.default_rng(k) for k in range(N)])
+    simulation.cmd[:] = 15.0, 15.0, 0.1, 0.1
     (factors,) = each(simulation.factors)
     return simulation.rows, simulation.shared, factors
 
@@ -144,3 +155,24 @@ def test_what_is_compiled_runs(name, monkeypatch):
     for i in range(N):
         monkeypatch.setattr(cuda, "grid", lambda _, i=i: i)
         kernel(*values)
+
+
+def arrays_of(value):
+    if isinstance(value, np.ndarray):
+        return [value] if value.dtype.kind == "f" else []
+    return [one for part in value for one in arrays_of(part)] if isinstance(value, tuple) else []
+
+
+@pytest.mark.skipif(not cuda.is_available(), reason="needs a GPU")
+@pytest.mark.filterwarnings("ignore:.*low occupancy")
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_gpu_computes_what_the_cpu_does(name, monkeypatch):
+    kernel, arguments = KERNELS[name]
+    on_gpu, on_cpu = arguments(), arguments()
+    cuda.jit(kernel)[1, 32](*on_gpu)
+    cuda.synchronize()
+    for i in range(N):
+        monkeypatch.setattr(cuda, "grid", lambda _, i=i: i)
+        kernel(*on_cpu)
+    for ours, theirs in zip(arrays_of(on_gpu), arrays_of(on_cpu), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)

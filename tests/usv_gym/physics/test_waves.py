@@ -293,7 +293,8 @@ def test_drift_sums_of_a_realised_sea() -> None:
     """A sea of a few components has the drift of its spectrum, in the direction of its waves."""
     direction = math.radians(40.0)
     rng = np.random.default_rng(5)
-    sea = SeaState(hs=0.5, wave_to=direction, components=3).realise(BOAT, rng, rng)
+    state = SeaState(hs=0.5, wave_to=direction, components=3)
+    sea = state.realise(BOAT.without_table(), rng, rng)
     drift = sea.weather["drift_sums"]
     fine = sums(limited=True)
     np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.01)
@@ -305,7 +306,7 @@ def test_drift_sums_of_a_realised_sea() -> None:
 def test_mean_drift_pushes_along_the_waves() -> None:
     """A head sea pushes astern, a sea from port pushes to starboard ."""
     rng = np.random.default_rng(5)
-    sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT, rng, rng)
+    sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT.without_table(), rng, rng)
     drift = sea.weather["drift_sums"].copy()
     following, head = waves.mean_drift_loads(0.0, drift), waves.mean_drift_loads(math.pi, drift)
     assert following[0] > 0.0

@@ -28,9 +28,9 @@ from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
-from usv_gym.vessel import variation
 from usv_gym.vessel import vessel as vessel_module
 from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, UNITS
+from usv_gym.vessel.variation import LAW, BoatClass
 from usv_gym.vessel.vessel import VesselError, course_eigenvalues
 from usv_gym.world.simulation import Simulation
 
@@ -254,16 +254,15 @@ def test_varied_boats_have_the_given_spread() -> None:
     np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.03)
 
 
-def test_impossible_spreads_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_spreads_are_refused() -> None:
     boat, rng = Vessel.load("usv75"), np.random.default_rng(0)
     for bad in (-0.1, math.nan, math.inf):
         with pytest.raises(VesselError, match=r"spread=.*0 or more"):
             boat.varied(rng, bad)
-    # no boat is stable
-    monkeypatch.setattr(variation, "_try", lambda *given: -1.0)
-    monkeypatch.setattr(variation, "TRIES", 20)
-    with pytest.raises(VesselError, match=r"usv75: none of 20 boats.*smaller spreads"):
-        boat.varied(rng)
+    kind = BoatClass(boat, 0.15)
+    kind.law.view(LAW)["growth"] = -math.inf  # no boat is stable
+    with pytest.raises(VesselError, match=r"usv75: none of 1000 boats.*smaller spreads"):
+        kind.draw(rng)
 
 
 # ------------------------------------------------- golden and published numbers
