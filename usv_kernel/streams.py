@@ -187,7 +187,7 @@ class Children:
     def _by_numpy(self, k: int) -> SeedSequence:
         one, *more = self._keys[k]
         key = (*self._seed.spawn_key, self._first + one, *more)
-        return SeedSequence(self._seed.entropy, spawn_key=key)
+        return SeedSequence(self._seed.entropy, spawn_key=key, pool_size=self._seed.pool_size)
 
     def generator(self, k: int) -> Generator:
         """Return that of the k-th key, equal to what :meth:`numpy.random.Generator.spawn` gives."""

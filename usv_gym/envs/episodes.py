@@ -466,9 +466,9 @@ class Episodes:
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
-        # one child for the simulation, one for the task, and a last one for what differs between
-        # episodes: without any, nothing else is drawn
-        children, sim = parent.children(_KEYS, 2 + self.worlds.active), self.simulation
+        # what differs between episodes comes from the next episode's child, of which that takes
+        # children alone: so options leave what follows as it was
+        children, sim = parent.children(_KEYS, 2), self.simulation
         number = self.worlds.draw(children.states[_WORLD], i, sim) if self.worlds.active else 0
         sim.begin(i, Streams(children))
         if sim.fault_sets.most > 0:

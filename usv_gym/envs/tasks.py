@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,9 +50,12 @@ __all__ = [
 Ranges = Sequence[tuple[float, float, float]]
 
 LEGS_MAX = 16
-"""Most legs that are drawn by ranges."""
+"""Most legs that are drawn in compiled code."""
 
 _DRAWS_MAX = 2 * LEGS_MAX
+
+_BENDS = 20
+"""Bends of a curve: 6 legs or more of each, together at least 120."""
 
 SEAKEEPING_TIME = 110.0
 """Time to sail the path of the task ``seakeeping`` at the nominal speed, s."""
@@ -178,8 +182,6 @@ class Task:
             self.rules["weights"][self.terms.index(name)] = weight
         self.points = np.zeros((n, self.legs + 1, 2))
         self.records = np.zeros(n, TASK)
-        ranges = self.ranges() if type(self).path is Task.path else None
-        self._ranges = None if ranges is None else _checked(ranges)
 
     @property
     def errors(self) -> np.ndarray:
@@ -187,12 +189,45 @@ class Task:
         return self.records["errors"]
 
     def draw(self, i: int, children: Children, number: int, heading: float = 0.0) -> None:
-        """Do :meth:`reset` with the generator of a child, where the records are zeros."""
-        if self._ranges is None:
+        """Do what :meth:`reset` does with the generator of a child, where the records are zeros.
+
+        Legs that are drawn by :meth:`ranges` are drawn in compiled code.
+        """
+        if not self._compiled:
             self.reset(i, children.generator(number), heading)
             return
         words, errors = children.states[number], self.records["errors"][i]
         _draw_path(words, self._ranges, heading, self.points[i], errors)
+
+    @cached_property
+    def _compiled(self) -> bool:
+        """Whether kernels draw the path: nothing of it is overridden, and it is not too long."""
+        kind = type(self)
+        own = kind.path is not Task.path or kind.reset is not Task.reset
+        return not own and self.legs <= LEGS_MAX
+
+    @cached_property
+    def _ranges(self) -> np.ndarray:
+        """What :meth:`ranges` gave at the first episode, checked."""
+        given, name = self.ranges(), type(self).__name__
+        if given is None:
+            raise TaskError(f"{name} must draw its path: override path(self, rng)")
+        try:
+            ranges = np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            ranges = np.zeros(0)
+        if ranges.shape != (self.legs, 3) or not np.isfinite(ranges).all():
+            raise TaskError(
+                f"{name}.ranges gave {str(given)[:200]}: must be three finite numbers for each of "
+                f"its legs, of which it has legs = {self.legs}"
+            )
+        turn, low, high = ranges.T
+        if not ((turn >= 0.0) & (turn <= 180.0) & (low > 0.0) & (low <= high)).all():
+            raise TaskError(
+                f"{name}.ranges gave {str(given)[:200]}: the largest turn must lie between 0 and "
+                "180 degrees, the shortest length above 0, and the longest be no shorter"
+            )
+        return ranges
 
     def reset(self, i: int, rng: np.random.Generator, heading: float = 0.0) -> None:
         """Draw the path of boat i, which starts at the origin with a heading (rad)."""
@@ -216,18 +251,16 @@ class Task:
         Randomness comes from ``rng`` alone. Errors and observations follow from the path. Those of
         this package that draw each leg by :meth:`ranges` do so in compiled code.
         """
-        ranges = self.ranges()
-        if ranges is None:
-            raise TaskError(f"{type(self).__name__} must draw its path: override path(self, rng)")
         points = np.zeros((self.legs + 1, 2))
-        chain_legs(rng.random(2 * self.legs), _checked(ranges), 0.0, points)
+        chain_legs(rng.random(2 * self.legs), self._ranges, 0.0, points)
         return points
 
     def ranges(self) -> Ranges | None:
         """Return how each leg is drawn; None: :meth:`path` is overridden.
 
-        Three numbers for each: the largest turn before it to either side, degrees, and its shortest
-        and longest length, m. The first turn is that from the first heading.
+        Three numbers for each of the ``legs``: the largest turn before it to either side, degrees,
+        and its shortest and longest length, m. The first turn is that from the first heading. It is
+        asked for once, at the first episode.
         """
         return None
 
@@ -266,13 +299,6 @@ class Task:
     def is_own(self) -> bool:
         """Whether steps are rated by :meth:`score`."""
         return type(self).score is not Task.score
-
-
-def _checked(ranges: Ranges) -> np.ndarray:
-    """Return the ranges of legs as kernels read them; TaskError: there are too many."""
-    if len(ranges) > LEGS_MAX:
-        raise TaskError(f"ranges of {len(ranges)} legs: {LEGS_MAX} at most; override path instead")
-    return np.array(ranges, dtype=float)
 
 
 @kernel
@@ -353,12 +379,12 @@ class Curves(PathFollowing):
 
     def path(self, rng: np.random.Generator) -> np.ndarray:
         """See :meth:`Task.path`."""
-        turns: list[float] = [0.0] * 5
-        while len(turns) < self.legs:
-            angle, radius = np.radians(rng.uniform(60.0, 150.0)), rng.uniform(6.0, 12.0)
-            side = rng.choice([-1.0, 1.0])
-            turns += [side / radius] * max(round(angle * radius), 1)
-        courses = np.cumsum(turns[: self.legs])
+        angle, radius, side = rng.random((_BENDS, 3)).T
+        angle, radius = np.radians(60.0 + 90.0 * angle), 6.0 + 6.0 * radius
+        bends = np.repeat(
+            np.where(side < 0.5, -1.0, 1.0) / radius, np.rint(angle * radius).astype(int)
+        )
+        courses = np.cumsum(np.concatenate([np.zeros(5), bends])[: self.legs])
         return _chain(courses, np.full(self.legs, self.length))
 
 

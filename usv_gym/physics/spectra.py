@@ -145,8 +145,13 @@ def quantile_frequencies(quantiles: Array, omega: Array, density: Array) -> Arra
 
     ``omega`` (rad/s) rises, on a grid fine enough for trapezoids.
     """
+    return np.interp(quantiles, energy_shares(omega, density), omega)
+
+
+def energy_shares(omega: Array, density: Array) -> Array:
+    """Return the share of the energy below each point of a spectrum, by trapezoids."""
     below = np.concatenate([[0.0], np.cumsum(_cells(omega, density))])
-    return np.interp(quantiles, below / below[-1], omega)
+    return np.asarray(below / below[-1])
 
 
 def _cells(x: Array, y: Array) -> Array:

@@ -314,6 +314,12 @@ class SeaState:
         # PM is the ITTC spectrum of its own period
         return Spectrum(omega, spectra.ittc_spectrum(omega, self.hs, tp))
 
+    @cached_property
+    def _table(self) -> tuple[Spectrum, Array]:
+        """The spectrum as a table, and the share of the energy below each of its points."""
+        table = self.wave_spectrum()
+        return table, spectra.energy_shares(table.omega, table.density)
+
     def realise(
         self,
         vessel: Vessel,
@@ -377,7 +383,7 @@ class SeaState:
         The drift of a sea is that of its spectrum. The few short components of one realisation
         would make it a matter of chance for small boats.
         """
-        table = self.wave_spectrum()
+        table = self._table[0]
         step = 0.5 * np.diff(table.omega) * (table.density[1:] + table.density[:-1])
         energy = np.concatenate([[0.0], np.cumsum(step)])
         edges = np.geomspace(table.omega[0], table.omega[-1], DRIFT_WAVES + 1)
@@ -409,15 +415,14 @@ class SeaState:
             return uniform, np.full(M, self.hs / math.sqrt(8.0 * M))
         within = np.arange(M) + uniform
         if self.discretisation == "random-frequency":
-            table = self.wave_spectrum()
-            low, high = spectra.quantile_frequencies(_BAND, table.omega, table.density)
+            table, shares = self._table
+            low, high = np.interp(_BAND, shares, table.omega)
             omega = low * (high / low) ** (within / M)
             # bins of equal ratio: their width grows with the frequency
             share = np.interp(omega, table.omega, table.density) * omega
             return omega, self.hs * np.sqrt(share / (8.0 * np.sum(share)))
-        table = self.wave_spectrum()
-        quantiles = np.clip(within / M, 1e-12, 1 - 1e-12)
-        omega = spectra.quantile_frequencies(quantiles, table.omega, table.density)
+        table, shares = self._table
+        omega = np.interp(np.clip(within / M, 1e-12, 1 - 1e-12), shares, table.omega)
         return omega, np.full(M, self.hs / math.sqrt(8.0 * M))
 
     def _waves(self, vessel: Vessel, rng: np.random.Generator, to: float) -> Array:

@@ -305,7 +305,8 @@ class Simulation:
         self.n, self.vessel, self.dt, self.substeps = n, vessel, dt, substeps
         self.suite = suite
         if not isinstance(faults, FaultSets):
-            if not all(isinstance(fault, Disturbance) for fault in faults):
+            known = isinstance(faults, Sequence)
+            if not (known and all(isinstance(fault, Disturbance) for fault in faults)):
                 raise SimulationError(
                     f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
                     "(usv_gym.world.faults.parse_faults reads a text)"
@@ -313,6 +314,9 @@ class Simulation:
             faults = FaultSets([faults])
         self.fault_sets, self._faults = faults, faults.arrays(dt)
         self.kinds = tuple(kinds) if kinds else (BoatClass(vessel, 0.0),)
+        if self.kinds[0].vessel is not vessel:
+            name = self.kinds[0].vessel.name
+            raise SimulationError(f"vessel = {vessel.name}: must be the first of kinds, {name}")
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
         examples = [sea.realise(vessel, quiet, quiet) for sea in seas]

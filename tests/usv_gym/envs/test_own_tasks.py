@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.scoring import ALONGSIDE, FAILURE, TaskError
-from usv_gym.envs.tasks import Docking, Score, Task
+from usv_gym.envs.tasks import Docking, PathFollowing, Score, Task
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.physics import frames as fr
 from usv_kernel.errors import UsvTwinError
@@ -286,3 +286,72 @@ def test_the_last_observation_is_of_the_step_that_ends_the_episode(task) -> None
         env.close()
     np.testing.assert_array_equal(seen[0][0], seen[1][0])
     assert seen[0][1] == seen[1][1]
+
+
+class Legs(PathFollowing):
+    """A path whose legs are drawn in compiled code."""
+
+    legs = 2
+    given: object = ((10.0, 30.0, 40.0), (90.0, 50.0, 50.0))
+
+    def ranges(self):
+        return self.given
+
+
+def of_legs(given: object, **others: object) -> type[Task]:
+    return type("Own", (Legs,), {"given": given, **others})
+
+
+def test_legs_by_ranges_lie_within_them() -> None:
+    env, found = USVEnv(task=Legs, sea="0"), []
+    for seed in range(40):
+        env.reset(seed=seed)
+        legs = np.diff(env.task.points[0], axis=0)
+        lengths, courses = np.hypot(*legs.T), np.degrees(np.arctan2(legs[:, 1], legs[:, 0]))
+        assert 30.0 <= lengths[0] <= 40.0 and lengths[1] == pytest.approx(50.0)
+        found.append([courses[0], courses[1] - courses[0]])
+    turns = np.abs(found).max(axis=0)
+    assert 5.0 < turns[0] <= 10.0 and 45.0 < turns[1] <= 90.0
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ([(10.0, 50.0, 60.0)] * 3, "legs = 2"),
+        ([(10.0, 50.0, 60.0)], "legs = 2"),
+        ([(10.0, 50.0)] * 2, "three finite numbers"),
+        ([(10.0, math.nan, 60.0)] * 2, "three finite numbers"),
+        ([], "three finite numbers"),
+        ("abc", "three finite numbers"),
+        ([(10.0, 60.0, 50.0)] * 2, "no shorter"),
+        ([(200.0, 50.0, 60.0)] * 2, "180 degrees"),
+        ([(10.0, -5.0, 60.0)] * 2, "above 0"),
+        (None, "override path"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(given, expected) -> None:
+    with pytest.raises(TaskError, match=expected):
+        USVEnv(task=of_legs(given)).reset(seed=0)
+    with pytest.raises(TaskError, match=expected):
+        of_legs(given)(1, 5.0, 6.0).path(np.random.default_rng(0))
+
+
+def test_long_paths_and_resets_of_ones_own_are_drawn_in_python() -> None:
+    long = USVEnv(task=of_legs([(10.0, 50.0, 60.0)] * 20, legs=20))
+    long.reset(seed=0)
+    assert np.hypot(*np.diff(long.task.points[0], axis=0).T).min() >= 50.0
+
+    def reset(self, i, rng, heading=0.0):
+        Task.reset(self, i, rng, heading)
+        self.points[i, 1] = 123.0, 0.0
+
+    own = USVEnv(task=type("Own", (PathFollowing,), {"reset": reset}))
+    own.reset(seed=0)
+    assert own.task.points[0, 1].tolist() == [123.0, 0.0]
+
+
+def test_a_path_is_drawn_in_python_as_in_kernels() -> None:
+    env = USVEnv(task="path")
+    env.reset(seed=4)
+    child = np.random.default_rng(4).spawn(2)[1]
+    np.testing.assert_array_equal(env.task.path(child), env.task.points[0])

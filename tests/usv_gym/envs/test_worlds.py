@@ -133,14 +133,17 @@ def test_options_leave_each_other_and_the_path_as_they_were() -> None:
     some = {"current": "any", "wind_from_deg": "any"}
     one, other = USVEnv(sea="2", **some), USVEnv(sea="2", vessel_spread=0.3, **some)
     drawn = [env.reset(seed=1)[1]["drawn"] for env in (one, other)]
-    for key in ("current_mps", "current_to_deg", "wind_from_deg"):
-        assert drawn[0][key] == drawn[1][key]
-    for env in (one, other):
-        np.testing.assert_array_equal(env.task.points, plain.task.points)
-        rows = [waves.OMEGA, waves.PHASE, waves.AMPLITUDE]
-        np.testing.assert_array_equal(
-            env.simulation.waves[0, rows], plain.simulation.waves[0, rows]
-        )
+    rows = [waves.OMEGA, waves.PHASE, waves.AMPLITUDE]
+    for _ in range(3):  # in the episodes that follow as well
+        for key in ("current_mps", "current_to_deg", "wind_from_deg"):
+            assert drawn[0][key] == drawn[1][key]
+        for env in (one, other):
+            np.testing.assert_array_equal(env.task.points, plain.task.points)
+            np.testing.assert_array_equal(
+                env.simulation.waves[0, rows], plain.simulation.waves[0, rows]
+            )
+        plain.reset()
+        drawn = [env.reset()[1]["drawn"] for env in (one, other)]
 
 
 def test_a_heading_turns_the_path_with_the_boat() -> None:
