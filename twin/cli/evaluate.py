@@ -139,7 +139,7 @@ def evaluate_command(
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     labels = _labels([model for model, _agent in agents])
-    console.print(_episodes(labels, found, same["task"]))
+    console.print(_episodes(labels, found, same))
     console.print(_forecasts(labels, found, same["twin"]))
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
@@ -238,11 +238,15 @@ def _forecasts(labels: dict[str, str], found: list[dict[str, Any]], twin: str) -
     return table
 
 
-def _episodes(labels: dict[str, str], found: list[dict[str, Any]], task: str) -> Table:
+def _episodes(labels: dict[str, str], found: list[dict[str, Any]], same: dict[str, Any]) -> Table:
     """Return the table of how the agents did, a line for each sea state and loss."""
     means = ("success", "failed", "time,\ns", "return", "forecast\nerror, m")
     heads = ("agent", "sea", "loss", "off path,\nm", *means)
-    title = f"task {task}: median distance off the path [95 % interval], and means"
+    boats = f"{same['vessel']}, spread {same.get('vessel_spread', 0.0):g}"
+    title = (
+        f"task {same['task']}, {boats}: median distance off the path [95 % interval], and means. "
+        "Where an episode neither succeeds nor fails, its time ran out"
+    )
     table = new_table(title, *heads, left=heads[:3], padding=0)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}

@@ -33,6 +33,9 @@ KEPT = "everything up to the last checkpoints is kept in {}; the same command co
 """Printed after Ctrl-C."""
 
 
+UPDATES_MIN = 8
+"""Trainings with fewer updates are warned of."""
+
 BREAKS = 6
 """A short training is evaluated so often, at least."""
 
@@ -67,12 +70,14 @@ def train_command(
     seeds: Annotated[
         str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7: a run for each.")
     ] = "0",
-    task: Annotated[str, typer.Option(help=f"One of: {', '.join(TASKS)}.")] = "path",
+    task: Annotated[
+        str, typer.Option(help=f"One of: {', '.join(TASKS)}; or module:Class of your own.")
+    ] = "path",
     sea: Annotated[
-        str, typer.Option(help="Sea states, one of them drawn for each episode.")
+        str, typer.Option(help="Sea states parted by |, one of them drawn for each episode.")
     ] = "|".join(SEAS),
     faults: Annotated[
-        str, typer.Option(help="Losses of sensors, one of them drawn for each episode.")
+        str, typer.Option(help="Losses of sensors parted by |, one drawn for each episode.")
     ] = "|".join(OUTAGES),
     twin: Annotated[str, typer.Option(help="Twin of the observation, if it has one.")] = "ukf",
     vessel: Annotated[str, typer.Option(help="Name or TOML file.")] = "usv75",
@@ -136,6 +141,13 @@ def train_command(
         Plan(algo, seen or values.get("observation", "twin"), steps, seed, **options)
         for seed in parse_seeds(seeds)
     ]
+    rollout = values["n_envs"] * values.get("n_steps", 0)
+    if steps < UPDATES_MIN * rollout:
+        console.print(
+            f"note: an update comes after {rollout} decisions, and the learning rate falls to 0 at "
+            f"the last: {steps} teach little, --steps {UPDATES_MIN * rollout} more",
+            highlight=False,
+        )
     how = {"hyper": values, "num_threads": num_threads, "callback": callback}
     heads = ("seed", "return", "off the path, m", "success", "minutes", "folder")
     title = f"{plans[0].name}, {steps} decisions"

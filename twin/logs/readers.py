@@ -247,9 +247,11 @@ def _numbers(
     if wrong is not None:
         row, name = wrong
         what = "date and time" if name == clock.column else "number"
+        timed = name in (clock.column, TIME)
+        remedy = "remove the row" if timed else "leave the cell empty where there is no value"
         raise LogError(
             f"{source}: column {name}, {unit} {int(lines[row])}: {shorten(frame[name][row])!r} is "
-            f"not a {what}; correct it, or leave the cell empty where there is no value"
+            f"not a {what}; correct it, or {remedy}"
         )
     return columns, dated
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from twin.sim.batched_twins import TWIN_SETS
-from twin.sim.twin_observation import ATTITUDE_OBSERVATION, TWIN_OBSERVATION
+from twin.sim.twin_observation import ATTITUDE_OBSERVATION
 from usv_gym.envs.selection import NEAR, Scaled
 from usv_kernel.errors import UsvTwinError
 
@@ -126,7 +126,7 @@ SCALED = {one.name: one for _of, entries in COMPACT_SETS.values() for one in ent
 _BEGINNINGS = (
     ("twin_health", ("health_",)),
     ("twin_attitude", (*ATTITUDE_OBSERVATION,)),
-    ("twin", (*TWIN_OBSERVATION,)),
+    ("twin", ("twin_", "ahead_")),
     ("twin_params", ("xi_", "sd_")),
     ("oracle", ("true_",)),
 )

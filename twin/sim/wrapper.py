@@ -33,7 +33,13 @@ from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.selection import Scaled, with_selection
 from usv_gym.envs.vector import USVVectorEnv
-from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
+from usv_kernel.errors import (
+    ArgumentError,
+    BoatIndexError,
+    UsvTwinError,
+    check_options,
+    did_you_mean,
+)
 from usv_kernel.files import write_whole
 
 __all__ = [
@@ -321,7 +327,10 @@ def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scal
     names = isinstance(observation, Sequence) and not isinstance(observation, str)
     if not names or not all(isinstance(name, str) for name in observation):
         known = ", ".join(OBSERVATIONS)
-        raise UsvTwinError(f"observation = {observation!r}; known: {known}, or a list of entries")
+        hint = did_you_mean(observation, OBSERVATIONS) if isinstance(observation, str) else ""
+        raise UsvTwinError(
+            f"observation = {observation!r}{hint}; known: {known}, or a list of entries"
+        )
     return set_of(list(observation)), [SCALED.get(name, name) for name in observation]
 
 

@@ -64,7 +64,10 @@ def _span(name: str, given: Any, bounds: Span) -> Span:
     """Return a number, a range or "any" as a range."""
     if isinstance(given, str) and given == "any" and bounds == DEGREES:
         return 0.0, 360.0
-    if isinstance(given, str) or not isinstance(given, Sequence):
+    if isinstance(given, str):
+        anything = "" if bounds == LOADS else ", 'any'"
+        raise UsvTwinError(f"{name} = {given!r}: must be a number{anything} or (low, high)")
+    if not isinstance(given, Sequence):
         check_number(name, given, *bounds)
         return float(given), float(given)
     if len(given) != 2:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usv_gym.vessel.schema import OPTIONAL, SCHEMA, UNITS, VesselError, check_kind, keys_of
+from usv_kernel.errors import did_you_mean
 from usv_kernel.files import read_toml
 from usv_kernel.servos import ServoError, Servos
 
@@ -44,8 +45,8 @@ def read_vessel(source: str | Path) -> dict[str, Any]:
     design = str(source) if str(source) in vessel_names() else ""
     if path.suffix != ".toml":
         raise VesselError(
-            f"no vessel is called {str(source)!r}; known: {', '.join(vessel_names())}, "
-            "or give the path of a .toml file"
+            f"no vessel is called {str(source)!r}{did_you_mean(source, vessel_names())}; known: "
+            f"{', '.join(vessel_names())}, or give the path of a .toml file"
         )
     table = read_toml(path, VesselError)
     try:

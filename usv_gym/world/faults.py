@@ -25,7 +25,7 @@ from usv_gym.world.channels import (
 )
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
-from usv_kernel.errors import UsvTwinError, is_finite
+from usv_kernel.errors import UsvTwinError, did_you_mean, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.random import STREAM, fill_uniform, next_word, start_stream
 from usv_kernel.records import Record
@@ -388,7 +388,8 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     for part in text.split("+"):
         match = _FAULT.fullmatch(part)
         if not match:
-            raise FaultError(f"fault {text[:200]!r} is not understood; write {FAULTS_HELP}")
+            hint = did_you_mean(part.partition("-")[0].rstrip("0123456789.@"), FAULT_KINDS)
+            raise FaultError(f"fault {text[:200]!r} is not understood{hint}; write {FAULTS_HELP}")
         try:
             faults.append(_fault(match, start))
         except FaultError as error:

@@ -253,7 +253,7 @@ class SeaState:
             return SEA_STATES[name]
         except (KeyError, TypeError):
             raise SeaError(
-                f"no sea state is called {name!r}; known: {', '.join(SEA_STATES)}"
+                f"no sea state is called {name!r}; known: {', '.join(SEA_STATES)}; | parts several"
             ) from None
 
     @classmethod

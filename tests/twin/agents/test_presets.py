@@ -333,7 +333,7 @@ def test_train_takes_entries_weights_spread_and_callback(tmp_path, monkeypatch):
     more += ("--wind-from", "any", "--current", "0.3")
     seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
     said = command(*words, *more, *seen, "--callback", "watch:say").output
-    assert "called" in said
+    assert "called" in said and "64 teach little, --steps 512 more" in " ".join(said.split())
     policy = Policy.load("runs/ppo-3-entries-0")
     assert policy.settings["reward_weights"] == {"effort": 2.0}
     assert policy.settings["vessel_spread"] == 0.1
@@ -346,7 +346,11 @@ def test_train_takes_entries_weights_spread_and_callback(tmp_path, monkeypatch):
         (("--current", "strong"), "--current strong: write a number, or any"),
         (("--current", "50"), "current"),
         (("--obs", "raw", *seen), "--obs and --entries: give one of them"),
-        (("--entries", "twin_crosstrack"), "no entry 'twin_crosstrack'"),
+        (
+            ("--entries", "twin_crosstrack"),
+            "(did you mean 'twin_cross_track'?)",
+        ),
+        (("--entries", "ahead_2s_forwrd"), "(did you mean 'ahead_2s_forward'?)"),
         (("--init", "none.npz"), "none.npz: cannot be read"),
     ):
         output = command(*words, *wrong, "--out", "wrong", check=2).output

@@ -296,6 +296,12 @@ def test_quantity_given_twice_is_refused(tmp_path: Path) -> None:
     ("name", "row", "cell", "words"),
     [
         ("gps_x_m", 6, "abc", "column gps_x_m, line 8: 'abc' is not a number; correct it"),
+        (
+            "t_s",
+            6,
+            "noon",
+            "'noon' is not a number; correct it, or remove the row",
+        ),
         ("n_left_rps", 0, "1_0", "column n_left_rps, line 2: '1_0' is not a number"),
         ("wind_mps", 3, "inf", "column wind_mps, line 5: the value is infinite; leave the cell"),
         ("t_s", 3, "-inf", "column t_s, line 5: the value is infinite"),

@@ -336,7 +336,7 @@ def test_ranges_that_are_none_are_refused(given, expected) -> None:
         of_legs(given)(1, 5.0, 6.0).path(np.random.default_rng(0))
 
 
-def test_long_paths_and_resets_of_ones_own_are_drawn_in_python() -> None:
+def test_long_paths_and_resets_of_ones_own_are_drawn_by_python() -> None:
     long = USVEnv(task=of_legs([(10.0, 50.0, 60.0)] * 20, legs=20))
     long.reset(seed=0)
     assert np.hypot(*np.diff(long.task.points[0], axis=0).T).min() >= 50.0
@@ -350,7 +350,7 @@ def test_long_paths_and_resets_of_ones_own_are_drawn_in_python() -> None:
     assert own.task.points[0, 1].tolist() == [123.0, 0.0]
 
 
-def test_a_path_is_drawn_in_python_as_in_kernels() -> None:
+def test_python_draws_a_path_as_kernels_do() -> None:
     env = USVEnv(task="path")
     env.reset(seed=4)
     child = np.random.default_rng(4).spawn(2)[1]
