@@ -157,7 +157,8 @@ class Disturbance(ABC):
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
             raise FaultError(
-                f"no sensor fault is called {self.kind!r}; use {', '.join(FAULT_KINDS)}"
+                f"no sensor fault is called {self.kind!r}{did_you_mean(self.kind, FAULT_KINDS)}; "
+                f"use {', '.join(FAULT_KINDS)}"
             )
         if self.effect not in EFFECTS:
             raise FaultError(
@@ -388,8 +389,7 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     for part in text.split("+"):
         match = _FAULT.fullmatch(part)
         if not match:
-            hint = did_you_mean(part.partition("-")[0].rstrip("0123456789.@"), FAULT_KINDS)
-            raise FaultError(f"fault {text[:200]!r} is not understood{hint}; write {FAULTS_HELP}")
+            raise FaultError(f"fault {text[:200]!r} is not understood; write {FAULTS_HELP}")
         try:
             faults.append(_fault(match, start))
         except FaultError as error:

@@ -261,7 +261,7 @@ def test_boats_in_a_calm_sea_equal_those_with_no_waves_around(options) -> None:
         ({"wind_from_deg": "any "}, r"wind_from_deg = 'any ': must be a number, 'any' or \(low, h"),
         ({"current": "all"}, r"current\[0\] = 'all': must be a number, 'any' or \(low, hi"),
         ({"vessel": "oter"}, r"no vessel is called 'oter' \(did you mean 'otter'\?\)"),
-        ({"faults": "gsp10"}, r"'gsp10' is not understood \(did you mean 'gps'\?\)"),
+        ({"faults": "gsp10"}, r"no sensor fault is called 'gsp' \(did you mean 'gps'\?\)"),
         ({"sea": "2,4"}, r"no sea state is called '2,4'; known: .*; \| parts several"),
         ({"observation": "twn"}, r"observation = 'twn' \(did you mean 'twin'\?\)"),
     ],
