@@ -30,7 +30,12 @@ No sample, besides NaN, is
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
+A number that is taken counts by min(1, knee / q). There q is the square of what it is off, over the
+variance expected. A receiver's jump of some deviations then hardly pulls the velocity.
+
 The filter knows nothing of waves: what it says moves with them.
+
+Source: weights by the inverse square, Maronna, Martin and Yohai 2006, Robust Statistics, 2.2.
 """
 
 from __future__ import annotations
@@ -122,10 +127,11 @@ _AIDED = 1e4
 
 
 @kernel
-def _correct(nav, work, innovation, variance, age, channel):
+def _correct(nav, work, innovation, variance, age, channel, knee):
     """Correct by one number with measurement row H; return False where it is refused.
 
-    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
+    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing. A
+    squared innovation of over ``knee`` variances counts less.
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
@@ -147,6 +153,7 @@ def _correct(nav, work, innovation, variance, age, channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
             S = max(_gain(P, H, variance, gain), variance)
         nav.refused[channel] = 0.0
+    S *= max(innovation * innovation / (knee * S), 1.0)
     step = innovation / S
     for i in range(N_NAV):
         n[i] += gain[i] * step
@@ -206,7 +213,7 @@ def aid(nav, work, entry, value, variance):
     work.H[:] = 0.0
     work.H[entry] = 1.0
     variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
-    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, math.inf)
 
 
 @inlined
@@ -325,7 +332,7 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(nav, work, innovation, variance, age, j):
+        if _correct(nav, work, innovation, variance, age, j, settings.knee):
             nav.gps_age = 0.0
 
 
@@ -438,7 +445,7 @@ def navigate(nav, dt, z, model, settings, work):
         H[R] = H[GYRO_BIAS] = 1.0
         innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5):
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5, settings.knee):
             nav.imu_age = 0.0
         H[R] = H[GYRO_BIAS] = 0.0
     if abs(z[COMPASS]) < ROUNDS:
@@ -448,7 +455,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4):
+            if _correct(nav, work, innovation, var, age, 4, settings.knee):
                 nav.compass_age = 0.0
             H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
