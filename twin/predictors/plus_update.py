@@ -82,6 +82,7 @@ __all__ = [
     "PlusConfig",
     "PlusMemory",
     "PlusWork",
+    "observer_gain",
     "plus_config_of",
     "plus_step",
     "plus_work_of",
@@ -91,8 +92,12 @@ __all__ = [
 ]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s. The velocities of a draw take on its waves by it, too. A
-measured velocity is the observer's motion and its residual, and so will be those to come."""
+"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
+too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
+
+GAIN_OF_SHIP = 2.0
+"""The same in nominal speeds over length. An observer much faster than its ship follows what the
+model leaves out, and its residual says no more of it."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
@@ -171,11 +176,17 @@ def refit_work(work, p, capacity):
 
 
 @inlined
+def observer_gain(config):
+    """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
+    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
+
+
+@inlined
 def _slow_step(dt, nav, window, state, config, terms):
     """Advance the low-frequency observer."""
     n, act, slow, envelope = nav.n, state.act, window.slow, config.envelope
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
-    h = min(dt, 10.0) / steps
+    h, gain = min(dt, 10.0) / steps, observer_gain(config)
     c, s = math.cos(n[PSI]), math.sin(n[PSI])
     drive(act, terms)
     current = current_of(state.x, N_STATES, config.model.hull)
@@ -186,7 +197,7 @@ def _slow_step(dt, nav, window, state, config, terms):
         )
         rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
-            slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
+            slow[i] += h * (rates[i] + gain * (n[3 + i] - slow[i]))
             # where nobody knows what the drives do, the model says nothing of the velocities
             reach = 0.125 * envelope[i] if nav.commands_doubted == 0.0 else 0.0
             slow[i] = min(max(slow[i], n[3 + i] - reach), n[3 + i] + reach)
