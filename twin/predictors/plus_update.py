@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import PSI, R, U, V
+from twin.filters.linalg import invert
 from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
@@ -17,6 +18,7 @@ from twin.identification.data_weight import (
     SCORED,
     linearised_at,
     note,
+    proved,
     score,
     select_trust,
     selector_state,
@@ -433,20 +435,33 @@ def _identify(lost, dt, cmd, nav, wind, memory, config, scratch):
 
 
 @inlined
-def _take_mean(state, memory, model, refit):
+def _take_mean(state, selector, memory, model):
     """Go on with the mean of the joint filter's parameters and those of the first refit.
 
     Without GPS the errors of a boat that no population describes add up, and those of the two
     differ. It is no surer than the joint filter was.
     """
     p = model.which.shape[1]
-    selector = selector_state(memory.selector, p, refit.steps, refit.spacing)
-    if refit.joint == NONE or selector.count[SCORED] < SEGMENTS_MIN:
-        return
     joint = filter_state(memory.joint, model)
     for i in range(p):
         state.x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
     _give_covariance(joint.P[N_STATES:, N_STATES:], state.P)
+
+
+@kernel
+def _take_proved(state, selector, memory, model, refit, work):
+    """Go on with parameters that have proved good, at the beginning of a loss of GPS."""
+    p = model.which.shape[1]
+    best = proved(last_row(as_record(memory.window, WINDOW)), selector)
+    if best == int(selector.count[CHOSEN]) or not selector.factors[best, 0, 0] > 0.0:
+        return
+    segments = segment_state(memory.segments, p, refit.capacity)
+    solve = refit_work(work, p, refit.capacity).solve
+    invert(selector.factors[best], segments.cov, solve.inverse)
+    selector.count[CHOSEN] = best
+    for i in range(p):
+        state.x[N_STATES + i] = segments.params[i] = selector.params[best, i]
+    _give_covariance(segments.cov, state.P)
 
 
 @kernel
@@ -486,8 +501,12 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD and given.rest_push < 1.0:
-        _take_mean(state, memory, model, refit)
+    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD:
+        selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
+        if selector.count[SCORED] >= SEGMENTS_MIN and given.rest_push < 1.0:
+            _take_mean(state, selector, memory, model)
+        elif selector.count[SCORED] >= SEGMENTS_MIN and refit.joint == NONE:
+            _take_proved(state, selector, memory, model, refit, work)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0
