@@ -30,8 +30,9 @@ No sample, besides NaN, is
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
-A number that is taken counts by min(1, knee / q). There q is the square of what it is off, over the
-variance expected. A receiver's jump of some deviations then hardly pulls the velocity.
+A position that is taken counts by min(1, knee / q). There q is the square of what it is off, over
+the variance expected. A receiver's jump of some deviations then hardly pulls the velocity. Other
+numbers count in full: where gyro or accelerometers are at fault, they put the state right.
 
 The filter knows nothing of waves: what it says moves with them.
 
@@ -344,8 +345,8 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        off = least if j < 2 else 0.0
-        if _correct(nav, work, innovation, variance, age, j, settings.knee, off):
+        off, knee = (least, settings.knee) if j < 2 else (0.0, math.inf)
+        if _correct(nav, work, innovation, variance, age, j, knee, off):
             nav.gps_age = 0.0
 
 
@@ -458,7 +459,7 @@ def navigate(nav, dt, z, model, settings, work):
         H[R] = H[GYRO_BIAS] = 1.0
         innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5, settings.knee, 0.0):
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5, math.inf, 0.0):
             nav.imu_age = 0.0
         H[R] = H[GYRO_BIAS] = 0.0
     if abs(z[COMPASS]) < ROUNDS:
@@ -468,7 +469,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4, settings.knee, 0.0):
+            if _correct(nav, work, innovation, var, age, 4, math.inf, 0.0):
                 nav.compass_age = 0.0
             H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:

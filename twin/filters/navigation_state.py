@@ -130,7 +130,10 @@ NAVIGATION_SETTINGS = np.dtype(
         ("imu_x", "f8"),  # IMU likewise, m
         ("imu_y", "f8"),
         ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
-        ("knee", "f8"),  # squared innovation over its variance, from which on it counts less
+        (
+            "knee",
+            "f8",
+        ),  # squared innovation of a position over its variance: beyond, it counts less
     ]
 )
 """What the filter is given of a boat and its instruments."""
@@ -156,8 +159,8 @@ def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Arr
         Length, speed and instruments are used; what no data sheet states scales with speed
         and length (Froude).
     knee : float
-        Squared innovation over its variance, from which on it counts less; infinite if all count
-        alike.
+        Squared innovation of a position over its variance, from which on it counts less; infinite
+        if all count alike.
 
     Returns
     -------

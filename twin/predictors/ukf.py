@@ -497,7 +497,7 @@ class UKFPredictor(ModelPredictor):
 
     tuning = "about 60 configurations in the study"
     knee: ClassVar[float] = math.inf
-    """Of the navigation's measurements; see :func:`navigation_settings`."""
+    """Of the navigation's fixes; see :func:`navigation_settings`."""
 
     def __init__(
         self,
