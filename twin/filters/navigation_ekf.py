@@ -30,7 +30,13 @@ No sample, besides NaN, is
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
+A position that is taken counts by min(1, knee / q). There q is the square of what it is off, over
+the variance expected. A receiver's jump of some deviations then hardly pulls the velocity. Other
+numbers count in full: where gyro or accelerometers are at fault, they put the state right.
+
 The filter knows nothing of waves: what it says moves with them.
+
+Source: weights by the inverse square, Maronna, Martin and Yohai 2006, Robust Statistics, 2.2.
 """
 
 from __future__ import annotations
@@ -122,10 +128,12 @@ _AIDED = 1e4
 
 
 @kernel
-def _correct(nav, work, innovation, variance, age, channel):
+def _correct(nav, work, innovation, variance, age, channel, knee, least):
     """Correct by one number with measurement row H; return False where it is refused.
 
-    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
+    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing. A
+    squared innovation of over ``knee`` variances counts less. It is taken for ``least`` variances
+    at least: as much as the other number of the sample is off.
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
@@ -134,7 +142,7 @@ def _correct(nav, work, innovation, variance, age, channel):
         S = _gain(P, H, variance, gain)
     S = max(S, variance)
     if channel >= 0:
-        if innovation * innovation > GATE * GATE * S:
+        if max(innovation * innovation, least * S) > GATE * GATE * S:
             nav.refused[channel] += max(1.0, REFUSED_RATE * age)
             if nav.refused[channel] <= REFUSED_MAX:
                 return False
@@ -145,8 +153,9 @@ def _correct(nav, work, innovation, variance, age, channel):
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
-            S = max(_gain(P, H, variance, gain), variance)
+            S, least = max(_gain(P, H, variance, gain), variance), 0.0
         nav.refused[channel] = 0.0
+    S *= max(innovation * innovation / (knee * S), least / knee, 1.0)
     step = innovation / S
     for i in range(N_NAV):
         n[i] += gain[i] * step
@@ -206,7 +215,7 @@ def aid(nav, work, entry, value, variance):
     work.H[:] = 0.0
     work.H[entry] = 1.0
     variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
-    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, math.inf, 0.0)
 
 
 @inlined
@@ -279,6 +288,29 @@ def _same(z, nav, sensor, first, last, dt):
     return same
 
 
+@inlined
+def _expected(j, past, before, settings, H):
+    """Return number j of a fix as expected from the state ``before``; write its row H."""
+    c, s = math.cos(past.psi), math.sin(past.psi)
+    forward, side = settings.gps_x, settings.gps_y
+    for i in range(6):
+        H[i] = 0.0
+    if j == 0:
+        H[X], H[PSI], H[U], H[V] = 1.0, past.east - s * forward - c * side, -past.cos, past.sin
+        return before[X] - past.north + c * forward - s * side
+    if j == 1:
+        H[Y], H[PSI] = 1.0, c * forward - s * side - past.north
+        H[U], H[V] = -past.sin, -past.cos
+        return before[Y] - past.east + s * forward + c * side
+    u, v = past.u - past.r * side, past.v + past.r * forward
+    north, east = u * c - v * s, u * s + v * c
+    if j == 2:
+        H[PSI], H[U], H[V], H[R] = -east, c, -s, -c * side - s * forward
+        return north
+    H[PSI], H[U], H[V], H[R] = north, s, c, c * forward - s * side
+    return east
+
+
 @kernel
 def _take_fix(nav, z, dt, repeats, settings, work):
     """Correct by position and velocity of the antenna when the fix was taken."""
@@ -286,7 +318,6 @@ def _take_fix(nav, z, dt, repeats, settings, work):
     past = past_motion(nav, settings, work.past[:])
     for i in range(N_NAV):
         before[i] = n[i]
-    c, s = math.cos(past.psi), math.sin(past.psi)
     late, age = settings.latency, nav.gps_age
     # unknown change of velocity from then to now
     drift = settings.accel_var * min(dt, STEP_MAX) * late
@@ -297,35 +328,25 @@ def _take_fix(nav, z, dt, repeats, settings, work):
     gps_var = settings.gps_var + drift * late * late / 3.0
     doppler_var = settings.doppler_var + drift
     fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
-    forward, side = settings.gps_x, settings.gps_y
+    least = 0.0
+    if settings.knee < math.inf:
+        # north and east of a fix are wrong together
+        for j in range(2):
+            if abs(z[j]) < REACH:
+                innovation = z[j] - _expected(j, past, before, settings, H)
+                S = max(_gain(P, H, gps_var, work.gain), gps_var)
+                least = max(least, innovation * innovation / S)
     for j in range(4):
         if not abs(z[j]) < (REACH if j < 2 else fastest):
             continue
-        for i in range(6):
-            H[i] = 0.0
-        if j == 0:
-            expected = before[X] - past.north + c * forward - s * side
-            H[X], H[PSI], H[U], H[V] = 1.0, past.east - s * forward - c * side, -past.cos, past.sin
-        elif j == 1:
-            expected = before[Y] - past.east + s * forward + c * side
-            H[Y], H[PSI] = 1.0, c * forward - s * side - past.north
-            H[U], H[V] = -past.sin, -past.cos
-        else:
-            u, v = past.u - past.r * side, past.v + past.r * forward
-            north, east = u * c - v * s, u * s + v * c
-            if j == 2:
-                expected = north
-                H[PSI], H[U], H[V], H[R] = -east, c, -s, -c * side - s * forward
-            else:
-                expected = east
-                H[PSI], H[U], H[V], H[R] = north, s, c, c * forward - s * side
-        innovation = z[j] - expected
+        innovation = z[j] - _expected(j, past, before, settings, H)
         for i in range(6):
             innovation -= H[i] * (n[i] - before[i])
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(nav, work, innovation, variance, age, j):
+        off, knee = (least, settings.knee) if j < 2 else (0.0, math.inf)
+        if _correct(nav, work, innovation, variance, age, j, knee, off):
             nav.gps_age = 0.0
 
 
@@ -438,7 +459,7 @@ def navigate(nav, dt, z, model, settings, work):
         H[R] = H[GYRO_BIAS] = 1.0
         innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5):
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5, math.inf, 0.0):
             nav.imu_age = 0.0
         H[R] = H[GYRO_BIAS] = 0.0
     if abs(z[COMPASS]) < ROUNDS:
@@ -448,7 +469,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4):
+            if _correct(nav, work, innovation, var, age, 4, math.inf, 0.0):
                 nav.compass_age = 0.0
             H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:

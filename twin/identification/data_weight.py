@@ -58,6 +58,7 @@ __all__ = [
     "forecast_error",
     "linearised_at",
     "note",
+    "proved",
     "score",
     "select_trust",
     "selector_state",
@@ -200,6 +201,24 @@ def linearised_at(state):
     """
     chosen = int(state.count[CHOSEN])
     return chosen if chosen < REFITS else 0
+
+
+@kernel
+def proved(newest, state):
+    """Return the candidate to go on with where no more forecasts can be compared.
+
+    It is the one in use, but for a short refit after a change that was found just now. A turn into
+    other waves looks like one, and nothing has confirmed it yet. Then it is the long refit with
+    the best record.
+    """
+    chosen, errors = int(state.count[CHOSEN]), state.errors[1]
+    if not SHORT <= chosen < REFITS or (newest - state.count[ALARM]) * GRID > SETTLED:
+        return chosen
+    best = 0
+    for r in range(1, SHORT):
+        if errors[r] < min(errors[best], errors[0] - MARGINS[1]):
+            best = r
+    return best
 
 
 @inlined

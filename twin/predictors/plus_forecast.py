@@ -29,7 +29,7 @@ from twin.identification.wave_residual import ORDER, between, forecast_waves, si
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
 from twin.model.structure import N_STATES
-from twin.predictors.plus_update import OBSERVER_GAIN, WINDOW, all_good, last_row
+from twin.predictors.plus_update import WINDOW, all_good, last_row, observer_gain
 from twin.predictors.ukf import DOUBTED
 from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
@@ -260,13 +260,14 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
                 out.means[d, row, k] += own.means[0, row, k]
     start = RolloutStart(out.starts, out.params, state.act, state.wind)
     paths = Paths(out.states, out.act)
-    waves = Waves(out.means, OBSERVER_GAIN)
+    gain = observer_gain(given)
+    waves = Waves(out.means, gain)
     share = drive_share(own.plan, given.n_nominal, given.driven)
     rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
     for d in range(1, D + 1):
         member = slice(d, d + 1)
         start = RolloutStart(out.starts[member], out.params[member], state.act, state.wind)
-        waves, paths = Waves(out.means[member], OBSERVER_GAIN), Paths(out.states[member], out.act)
+        waves, paths = Waves(out.means[member], gain), Paths(out.states[member], out.act)
         for part in TAMED:
             if is_plausible(out.states[d], state.fastest, given.nominal, share):
                 break

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import PSI, R, U, V
+from twin.filters.linalg import invert
 from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
@@ -17,6 +18,7 @@ from twin.identification.data_weight import (
     SCORED,
     linearised_at,
     note,
+    proved,
     score,
     select_trust,
     selector_state,
@@ -82,6 +84,7 @@ __all__ = [
     "PlusConfig",
     "PlusMemory",
     "PlusWork",
+    "observer_gain",
     "plus_config_of",
     "plus_step",
     "plus_work_of",
@@ -91,8 +94,12 @@ __all__ = [
 ]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s. The velocities of a draw take on its waves by it, too. A
-measured velocity is the observer's motion and its residual, and so will be those to come."""
+"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
+too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
+
+GAIN_OF_SHIP = 2.0
+"""The same in nominal speeds over length. An observer much faster than its ship follows what the
+model leaves out, and its residual says no more of it."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
@@ -171,11 +178,17 @@ def refit_work(work, p, capacity):
 
 
 @inlined
+def observer_gain(config):
+    """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
+    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
+
+
+@inlined
 def _slow_step(dt, nav, window, state, config, terms):
     """Advance the low-frequency observer."""
     n, act, slow, envelope = nav.n, state.act, window.slow, config.envelope
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
-    h = min(dt, 10.0) / steps
+    h, gain = min(dt, 10.0) / steps, observer_gain(config)
     c, s = math.cos(n[PSI]), math.sin(n[PSI])
     drive(act, terms)
     current = current_of(state.x, N_STATES, config.model.hull)
@@ -186,7 +199,7 @@ def _slow_step(dt, nav, window, state, config, terms):
         )
         rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
-            slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
+            slow[i] += h * (rates[i] + gain * (n[3 + i] - slow[i]))
             # where nobody knows what the drives do, the model says nothing of the velocities
             reach = 0.125 * envelope[i] if nav.commands_doubted == 0.0 else 0.0
             slow[i] = min(max(slow[i], n[3 + i] - reach), n[3 + i] + reach)
@@ -422,20 +435,33 @@ def _identify(lost, dt, cmd, nav, wind, memory, config, scratch):
 
 
 @inlined
-def _take_mean(state, memory, model, refit):
+def _take_mean(state, selector, memory, model):
     """Go on with the mean of the joint filter's parameters and those of the first refit.
 
     Without GPS the errors of a boat that no population describes add up, and those of the two
     differ. It is no surer than the joint filter was.
     """
     p = model.which.shape[1]
-    selector = selector_state(memory.selector, p, refit.steps, refit.spacing)
-    if refit.joint == NONE or selector.count[SCORED] < SEGMENTS_MIN:
-        return
     joint = filter_state(memory.joint, model)
     for i in range(p):
         state.x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
     _give_covariance(joint.P[N_STATES:, N_STATES:], state.P)
+
+
+@kernel
+def _take_proved(state, selector, memory, model, refit, work):
+    """Go on with parameters that have proved good, at the beginning of a loss of GPS."""
+    p = model.which.shape[1]
+    best = proved(last_row(as_record(memory.window, WINDOW)), selector)
+    if best == int(selector.count[CHOSEN]) or not selector.factors[best, 0, 0] > 0.0:
+        return
+    segments = segment_state(memory.segments, p, refit.capacity)
+    solve = refit_work(work, p, refit.capacity).solve
+    invert(selector.factors[best], segments.cov, solve.inverse)
+    selector.count[CHOSEN] = best
+    for i in range(p):
+        state.x[N_STATES + i] = segments.params[i] = selector.params[best, i]
+    _give_covariance(segments.cov, state.P)
 
 
 @kernel
@@ -475,8 +501,12 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD and given.rest_push < 1.0:
-        _take_mean(state, memory, model, refit)
+    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD:
+        selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
+        if selector.count[SCORED] >= SEGMENTS_MIN and given.rest_push < 1.0:
+            _take_mean(state, selector, memory, model)
+        elif selector.count[SCORED] >= SEGMENTS_MIN and refit.joint == NONE:
+            _take_proved(state, selector, memory, model, refit, work)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0

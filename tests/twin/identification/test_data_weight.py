@@ -5,7 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twin.identification.data_weight import ENOUGH, TRUSTS, TrustSelector, forecast_error
+from twin.identification.data_weight import (
+    ALARM,
+    CHOSEN,
+    ENOUGH,
+    MARGINS,
+    SETTLED,
+    SHORT,
+    TRUSTS,
+    TrustSelector,
+    forecast_error,
+    proved,
+)
 from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
@@ -170,6 +181,18 @@ def test_reset_forgets(structure):
     fresh = TrustSelector(segments(structure, structure.mean))
     np.testing.assert_array_equal(selector.memory, fresh.memory)
     assert (selector.scored, selector.chosen) == (0, 0)
+
+
+def test_a_change_found_just_now_is_not_gone_on_with(structure):
+    selector = TrustSelector(segments(structure, structure.mean))
+    state, settled = selector.state, round(SETTLED / GRID)
+    state.count[ALARM], state.count[CHOSEN] = 1000.0, SHORT
+    assert proved(1000 + settled, state) == 0
+    assert proved(1001 + settled, state) == SHORT
+    state.errors[1, 2] = state.errors[1, 0] - 1.1 * MARGINS[1]
+    assert proved(1000, state) == 2
+    state.count[CHOSEN] = 1
+    assert proved(1000, state) == 1
 
 
 def test_settings_are_those_of_the_boat():
