@@ -130,10 +130,8 @@ NAVIGATION_SETTINGS = np.dtype(
         ("imu_x", "f8"),  # IMU likewise, m
         ("imu_y", "f8"),
         ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
-        (
-            "knee",
-            "f8",
-        ),  # squared innovation of a position over its variance: beyond, it counts less
+        # squared innovation of a position over its variance: beyond, it counts less
+        ("knee", "f8"),
     ]
 )
 """What the filter is given of a boat and its instruments."""
