@@ -7,6 +7,7 @@ import functools
 import json
 import math
 import os
+import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -45,7 +46,11 @@ HEALTH_LINES = 12
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
-console = Console(markup=False)
+PIPE_WIDTH = 120
+"""Columns of tables that are written to a pipe or file, unless COLUMNS says otherwise."""
+
+_narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
+console = Console(markup=False, width=None if _narrow else PIPE_WIDTH)
 
 errors = Console(stderr=True, markup=False)
 
