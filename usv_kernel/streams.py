@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from usv_kernel.jit import kernel
 
-__all__ = ["Children", "Parent", "hash_numbers", "own_words"]
+__all__ = ["Children", "Parent", "hash_numbers"]
 
 Words = NDArray[np.uint64]
 
@@ -161,7 +161,7 @@ class Children:
     first : int
         The child that is counted as the 0-th one.
     own : ndarray of uint64, optional
-        What :func:`own_words` returns of the parent, where it is known.
+        Words of the parent with its key, where they are known.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Children:
         own: Words | None = None,
     ) -> None:
         self._seed, self._keys, self._first = seed, keys, first
-        self._own = own_words(seed) if own is None else own
+        self._own = _own_words(seed) if own is None else own
         if self._own.size:
             self.states = _hashed(self._own, first, keys)
         else:
@@ -198,7 +198,7 @@ class Children:
         return Generator(PCG64(seed))  # type: ignore[arg-type]
 
 
-def own_words(seed: SeedSequence) -> Words:
+def _own_words(seed: SeedSequence) -> Words:
     """Return the words of a seed sequence with its key; none if it is of an unusual kind."""
     if isinstance(seed.entropy, int) and seed.pool_size == _POOL:
         return _keyed(_words(seed.entropy), seed.spawn_key)
@@ -215,7 +215,7 @@ class Parent:
     def __init__(self, generator: Generator, *, shared: bool = False) -> None:
         self._generator, self._shared = generator, shared
         seed: Any = generator.bit_generator.seed_seq
-        self._seed, self._own, self._late = seed, own_words(seed), 0
+        self._seed, self._own, self._late = seed, _own_words(seed), 0
 
     @property
     def generator(self) -> Generator:

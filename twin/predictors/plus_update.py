@@ -503,10 +503,11 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         _slow_step(dt, nav, window, state, given, terms)
     if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD:
         selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
-        if selector.count[SCORED] >= SEGMENTS_MIN and given.rest_push < 1.0:
-            _take_mean(state, selector, memory, model)
-        elif selector.count[SCORED] >= SEGMENTS_MIN and refit.joint == NONE:
-            _take_proved(state, selector, memory, model, refit, work)
+        if selector.count[SCORED] >= SEGMENTS_MIN:
+            if refit.joint == NONE:
+                _take_proved(state, selector, memory, model, refit, work)
+            elif given.rest_push < 1.0:
+                _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0

@@ -7,6 +7,7 @@ import math
 from twin.channels import U, V
 from twin.filters.navigation_ekf import GAP_MAX, lacks_gps
 from twin.model.structure import CURRENT, N_STATES
+from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
 __all__ = ["widen_without_gps"]
@@ -15,9 +16,6 @@ FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
 of its filter grow with that speed, and so does all that they leave unsure. What it leaves out,
 above all currents, does not."""
-
-GRAVITY = 9.81
-"""Acceleration of gravity, m/s2."""
 
 MODEL_DRIFT, LASTING_SHARE = 0.02, 0.06
 """Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.vessel.variation import (
     FACTORS,
     LAW,
@@ -24,18 +23,17 @@ from usv_gym.world.faults import (
     Disturbance,
     FaultError,
     FaultWarning,
-    fault_records,
     ineffective_fault,
     parse_faults,
 )
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 from usv_gym.world.start import FaultSets
-from usv_gym.world.state import BOAT, WORLD
+from usv_gym.world.state import VESSEL, WORLD
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.random import fill_uniform, start_stream
-from usv_kernel.records import as_record, field_at, record_size
+from usv_kernel.records import as_record, field_at
 
 __all__ = ["DRAWN", "Worlds", "faults_of", "note_drawn"]
 
@@ -51,8 +49,6 @@ DRAWN = (
 _KIND, _LOAD, _WIND_FROM, _CURRENT, _CURRENT_TO, _HEADING = range(6)
 _NUMBERS = 6
 """Uniform numbers of an episode: all are drawn, so that none hangs on which options are set."""
-
-_VESSEL_AT, _VESSEL_SIZE = field_at(BOAT, "vessel"), record_size(PARAMETERS)
 
 _KIND_AT, _LOAD_AT = field_at(WORLD, "kind"), field_at(WORLD, "load")
 _FACTORS = slice(field_at(WORLD, "factors"), field_at(WORLD, "factors") + len(FACTORS))
@@ -88,7 +84,7 @@ def _draw(
     begin, count = as_record(world, WORLD), laws.shape[0]
     kind = min(int(u[_KIND] * count), count - 1)
     begin.kind, begin.load = kind, _within(spans[_LOAD], u[_LOAD])
-    law, flat = as_record(laws[kind], LAW), row[_VESSEL_AT : _VESSEL_AT + _VESSEL_SIZE]
+    law, flat = as_record(laws[kind], LAW), row[VESSEL]
     begin.speed = draw_boat(words, begin.load, law, begin.factors[:], flat, scratch)
     begin.shaft_speed = law.shafts[0]
     if not math.isnan(spans[_CURRENT, 0]):
@@ -224,13 +220,10 @@ def check_tables(vessels: Sequence[Vessel], dof: int) -> None:
 
 def faults_of(config: EnvConfig) -> FaultSets:
     """Return the sets of faults of which each episode has one."""
-    faults, dt = config.faults, config.dt
+    faults = config.faults
     if isinstance(faults, str):
         texts = faults.split("|")
-        # a wrong name fails here, not at the first reset
         named = [parse_faults(one, 0.0) for one in texts]
-        for one in named:
-            fault_records(one, dt)
         _warn_of([fault for one in named for fault in one], config)
         later = [parse_faults(one, 1.0) for one in texts]
         moving = [

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +36,9 @@ __all__ = [
     "SEA_STATES",
     "SeaKeyframe",
     "SeaState",
-    "choice",
 ]
 
 Array = NDArray[np.float64]
-
-_T = TypeVar("_T")
 
 SPECTRA = ("pm", "jonswap", "ittc")
 
@@ -314,6 +311,11 @@ class SeaState:
         # PM is the ITTC spectrum of its own period
         return Spectrum(omega, spectra.ittc_spectrum(omega, self.hs, tp))
 
+    @property
+    def is_closed_form(self) -> bool:
+        """Whether its frequencies follow from shares of the energy without a table."""
+        return self.spectrum == "pm" and self.discretisation == "equal-energy"
+
     @cached_property
     def _table(self) -> tuple[Spectrum, Array]:
         """The spectrum as a table, and the share of the energy below each of its points."""
@@ -410,7 +412,7 @@ class SeaState:
         M = self.components
         # one frequency at random in each of M bins, of equal energy or width: the sea never repeats
         uniform = rng.random(M)
-        if self.spectrum == "pm" and self.discretisation == "equal-energy":
+        if self.is_closed_form:
             pm_components(self.hs, uniform)
             return uniform, np.full(M, self.hs / math.sqrt(8.0 * M))
         within = np.arange(M) + uniform
@@ -485,8 +487,3 @@ SEA_STATES: dict[str, SeaState] = {
     "building": SeaState(schedule=(SeaKeyframe(40.0, 0.5, 4.5), SeaKeyframe(100.0, 1.25, 7.5))),
 }
 """Sea states by name; the last two change as time goes on, see :class:`SeaKeyframe`."""
-
-
-def choice(options: Sequence[_T], rng: np.random.Generator) -> _T:
-    """Return one of some options, by chance where there are several."""
-    return options[0] if len(options) == 1 else options[int(rng.integers(len(options)))]

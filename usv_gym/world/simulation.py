@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usv_gym.physics import frames as fr
-from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
@@ -23,7 +22,7 @@ from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.start import SEA, DriftTable, FaultSets, draw_start, is_compiled, sea_record
-from usv_gym.world.state import BOAT, SIMULATION, WORLD, sea_arrays, sensor_arrays
+from usv_gym.world.state import BOAT, SIMULATION, VESSEL, WORLD, sea_arrays, sensor_arrays
 from usv_gym.world.streams import NOISE_STREAMS, Streams, spawned
 from usv_kernel.arrays import alloca_f64, shaped, take
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
@@ -67,7 +66,6 @@ _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
 _KIND_AT, _SEA_AT = field_at(WORLD, "kind"), field_at(WORLD, "sea")
-_VESSEL = slice(field_at(BOAT, "vessel"), field_at(BOAT, "vessel") + record_size(par.PARAMETERS))
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
 _NUMBERS = (
@@ -390,12 +388,7 @@ class Simulation:
     def vessel_of(self, i: int) -> Vessel:
         """Return the vessel of boat i in this episode."""
         world = self.worlds[i]
-        flat = self.rows[i, _VESSEL]
-        return self.kinds[int(world["kind"])].boat(world["factors"], flat)
-
-    def sea_of(self, i: int) -> SeaState:
-        """Return the sea state of boat i in this episode."""
-        return self.seas[int(self.worlds["sea"][i])]
+        return self.kinds[int(world["kind"])].boat(world["factors"], self.rows[i, VESSEL])
 
     def reset(
         self,
@@ -456,21 +449,20 @@ class Simulation:
         table, seas = self._tables[kind], self.sea_rows
         draw_start(row, world, self.shared, states, seas, table, self._faults, self._scratch)
         sea = int(world[_SEA_AT])
-        if not self._compiled[kind][sea] or self._loads.shape[1] > 0:
-            self._realise(i, self.seas[sea], streams, self._compiled[kind][sea])
+        if not self._compiled[kind][sea]:
+            self._realise(i, self.seas[sea], streams)
+        elif self._loads.shape[1] > 0:
+            drawn = self.waves[i, :, : self.seas[sea].components]
+            self._fill_loads(i, self.vessel_of(i), drawn)
         _start(row, world, self.shared, states, self.factors)
 
-    def _realise(self, i: int, state: SeaState, streams: Streams, compiled: bool) -> None:
-        """Do what kernels do not: other seas than the common ones, and loads of a table."""
-        vessel = self.vessel_of(i)
-        if compiled:
-            self._fill_loads(i, vessel, self.waves[i, :, : state.components])
-            return
+    def _realise(self, i: int, state: SeaState, streams: Streams) -> None:
+        """Put boat i into a sea that kernels do not draw."""
         given = self.worlds[i]
         north, east = given["current_north"].item(), given["current_east"].item()
         wind_from = given["wind_from"].item()
         sea = state.realise(
-            vessel,
+            self.vessel_of(i),
             streams.generator("waves"),
             streams.generator("gusts"),
             wind_from=None if math.isnan(wind_from) else wind_from,

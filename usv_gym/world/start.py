@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.physics import GRAVITY, waves
-from usv_gym.physics.weather import KEYFRAMES, WEATHER
+from usv_gym.physics.weather import WEATHER
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import streams
 from usv_gym.world.faults import (
@@ -68,13 +68,12 @@ SEA = np.dtype(
 """A sea state as kernels draw one sea of it."""
 
 _WEATHER_AT, _SEA_WEATHER_AT = field_at(BOAT, "weather"), field_at(SEA, "weather")
-_WEATHER_SIZE, _FAULT_SIZE = record_size(WEATHER), record_size(FAULT)
+_WEATHER_SIZE = record_size(WEATHER)
 
 
 def is_compiled(state: SeaState) -> bool:
     """Return whether kernels draw the seas of a state: those by energy of a long-crested PM sea."""
-    plain = state.spectrum == "pm" and state.discretisation == "equal-energy"
-    return state.hs == 0.0 or (plain and state.spreading is None)
+    return state.hs == 0.0 or (state.is_closed_form and state.spreading is None)
 
 
 def sea_record(state: SeaState) -> Record:
@@ -276,7 +275,7 @@ def draw_start(
     for k in range(_WEATHER_SIZE):
         row[_WEATHER_AT + k] = seas[number, _SEA_WEATHER_AT + k]
     turn = 0.0 if math.isnan(begin.wind_from) else begin.wind_from - sea.wind_from
-    for k in range(min(int(sea.keyframes), KEYFRAMES)):
+    for k in range(int(sea.keyframes)):
         weather.wind_from[k] += turn
     weather.current_north, weather.current_east = begin.current_north, begin.current_east
     if math.isnan(begin.current_north):

@@ -22,9 +22,9 @@ from usv_gym.world.streams import NOISE_STREAMS
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined
 from usv_kernel.random import STREAM
-from usv_kernel.records import Record, as_records
+from usv_kernel.records import Record, as_records, field_at, record_size
 
-__all__ = ["BOAT", "SIMULATION", "WORLD", "sea_arrays", "sensor_arrays"]
+__all__ = ["BOAT", "SIMULATION", "VESSEL", "WORLD", "sea_arrays", "sensor_arrays"]
 
 BOAT = np.dtype(
     [
@@ -43,6 +43,9 @@ BOAT = np.dtype(
     ]
 )
 """One boat of a simulation."""
+
+VESSEL = slice(field_at(BOAT, "vessel"), field_at(BOAT, "vessel") + record_size(PARAMETERS))
+"""Where the flat parameters of its vessel lie in a row."""
 
 WORLD = np.dtype(
     [
