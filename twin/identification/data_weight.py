@@ -129,9 +129,9 @@ class SelectorState(NamedTuple):
     count: Any  # (6,) see SCORED to ALARM
     surprise: Any  # (1,) evidence that the boat has changed
     errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
-    params: Any  # (3, p) parameters of each refit
-    factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
-    past: Any  # (slots, 3, p) parameters when recent segments began
+    params: Any  # (c, p) parameters of each candidate
+    factors: Any  # (refits, p, p) Cholesky factors of the inverses of the refits' covariances
+    past: Any  # (slots, c, p) parameters when recent segments began
     pull: Any  # (p,) what the short refits go on from after a change; see ``segments.Known``
     information: Any  # (h,) 0 before the first change
 
@@ -194,13 +194,31 @@ def note(start, spacing, state):
 
 
 @inlined
-def linearised_at(state):
-    """Return the refit at whose parameters segments are linearised: that in use, or the first.
+def _lead(r, errors):
+    """Return by how many margins the record of a candidate is better than the first one's."""
+    lead = 0.0
+    for m in range(len(MEMORIES)):
+        lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
+    return lead
 
-    Others are no solution: a refit would start from where its data do not lead.
+
+@inlined
+def linearised_at(state):
+    """Return the refit at whose parameters segments are linearised: that in use, or the best.
+
+    Other candidates are no solution: a refit would start from where its data do not lead. The first
+    is the best until one that looks back as far has proved better.
     """
     chosen = int(state.count[CHOSEN])
-    return chosen if chosen < REFITS else 0
+    if chosen < REFITS:
+        return chosen
+    best, most = 0, 1.0
+    if state.count[SCORED] >= ENOUGH:
+        for r in range(1, SHORT):
+            lead = _lead(r, state.errors)
+            if lead > most:
+                best, most = r, lead
+    return best
 
 
 @kernel
@@ -329,7 +347,7 @@ def is_stable(row, xi, bounds, model, work):
 @kernel
 def select_trust(newest, row, bounds, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best candidate to use."""
-    count, errors, params, factors = state.count, state.errors, state.params, state.factors
+    count, params, factors = state.count, state.params, state.factors
     _test_for_change(newest, state, segments, config, model, work)
     count[TURN] += 1.0
     chosen = int(count[CHOSEN])
@@ -351,9 +369,7 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
             for r in range(CANDIDATES):
                 if (refused >> np.uint64(r)) & np.uint64(1):
                     continue
-                lead = 1.0 if r == default else 0.0
-                for m in range(len(MEMORIES)):
-                    lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
+                lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
                 if lead > most:
                     chosen, most = r, lead
             if chosen < 0:
@@ -385,8 +401,8 @@ class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
     The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
-    flat, and ``state`` the same by name. Of these, ``params`` (k, p) are the parameters of each
-    refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
+    flat, and ``state`` the same by name. Of these, ``params`` (c, p) are the parameters of each
+    candidate, ``errors`` (2, c) the mean logarithms of each one's squared errors.
     """
 
     def __init__(self, segments: Segments) -> None:
@@ -418,7 +434,7 @@ class TrustSelector:
 
     @property
     def chosen(self) -> int:
-        """The refit in use."""
+        """The candidate in use: a refit, :data:`JOINT` or :data:`PRIOR`."""
         return int(self.state.count[CHOSEN])
 
     def note(self, starts: Iterable[int]) -> None:

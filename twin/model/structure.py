@@ -414,6 +414,14 @@ _CURRENT = (
     ("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
 )
 
+AT_REST = ("Y_v", "N_r")
+"""Damping of a boat that lies still and is turned on the spot, as a fixed pair of thrusters does.
+It was measured on the Otter (yaw: 1 /s), Clearpath's Heron and the WAM-V 16 (sway .2 to .4, yaw .8
+to 1.3 nominal speeds over length).
+
+Source: Fossen 2021, 10.3 (Otter); the simulators of Heron and VRX for the others.
+"""
+
 UNEQUAL_THRUSTERS = ("X_dn", "N_mn")
 """What unequal thrusters do: the push by their difference, the turning by their mean."""
 
@@ -435,6 +443,7 @@ _MMG = (
     ("X_F", "1/m", "X", FIN_DRAG, (-1, 0, 0), -0.05, 0.1),
     ("X_w", "1/m", "X", WIND_X, (-1, 0, 0), 0.003, 0.003),
     *_BIASES,
+    ("Y_v", "1/s", "Y", V, (-1, 1, 0), -0.2, 0.2),
     ("Y_|u|v", "1/m", "Y", AU_V, (-1, 0, 0), -1.044, 0.528),
     ("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.56, 0.25),
     ("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.9),
@@ -447,6 +456,7 @@ _MMG = (
     ("Y_S", "1/m", "Y", FIN_SIDE, (-1, 0, 0), 0.0, 0.06),
     ("Y_w", "1/m", "Y", WIND_Y, (-1, 0, 0), 0.006, 0.006),
     ("N_uv", "rad/m2", "N", UV, (-2, 0, 0), -1.5, 2.2),
+    ("N_r", "1/s", "N", R, (-1, 1, 0), -1.0, 1.0),
     ("N_|u|r", "1/m", "N", AU_R, (-1, 0, 0), -2.4, 1.2),
     ("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.0),
     ("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 4.0),
@@ -535,6 +545,8 @@ def structure_of(
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
     left_out = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
+    if name == "mmg" and not differential:
+        left_out += AT_REST
     rows = [row for row in _TABLES[name] if row[0] not in left_out]
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
