@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
-from twin.health.current import CurrentWatch
 from twin.health.history import HealthHistory
 from twin.health.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
@@ -46,6 +45,9 @@ _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 
 MOTION_AHEAD, MOTION_STEP = float(HORIZONS[-1]), 0.05
 """How far roll, pitch and heave are forecast, and the finest step of a plan made for that, s."""
+
+LOST, LOST_SHOWN = "navigation was far off, and began again from the sensors", 10.0
+"""Said of a navigation filter that was lost, and for how long, s."""
 
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
@@ -116,11 +118,10 @@ class Twin:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.motion = DeckMotion(particulars)
         self.monitor = SensorMonitor(particulars)
-        self.health_history = HealthHistory(self.monitor, self.motion.lasting_troubles)
-        self.current_watch = CurrentWatch()
+        self.health_history = HealthHistory(self.monitor, self._troubles)
         self.begun = math.nan
         self.datum: Datum | None = None
-        self.t = math.nan
+        self.t = self._lost_at = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
     def reset(self) -> None:
@@ -129,8 +130,7 @@ class Twin:
         self.motion.reset()
         self.monitor.reset()
         self.health_history.reset()
-        self.current_watch.reset()
-        self.t = self.begun = math.nan
+        self.t = self.begun = self._lost_at = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
     def save(self, path: str | Path) -> None:
@@ -311,31 +311,40 @@ class Twin:
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
         z = self.motion.take(t, dt, z, predictor.navigation, predictor.ready)
-        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
+        current = predictor.current() if monitor.wants_current(dt) else None
+        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready, current)
         predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
+        if predictor.lost:
+            self._lost_at = t
         self.health_history.take(t, self.begun)
-        if self.current_watch.is_due(t):
-            self.current_watch.take(t, predictor.current())
 
     @property
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
 
-        Those of roll, pitch, heave and wind are named only while they are in trouble.
-        A GPS that is drawn away looks like a current. Where that is too large, or changes too fast,
-        the GPS is doubtful.
+        Those of roll, pitch, heave and wind, and the navigation filter, are named only while they
+        are in trouble. A GPS that is drawn away looks like a current. Where that is too large, or
+        changes too fast, the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
-        for name, (status, age, reason) in self.motion.troubles().items():
-            found[name] = SensorStatus(status, self.t - age, reason)
-        wind = self.monitor.wind_status(self.begun)
-        if wind.why:
-            found["wind"] = wind
-        why = self.current_watch.why_doubtful(self.t, self.predictor.current())
-        if found["gps"].status == "ok" and why:
-            found["gps"] = SensorStatus("doubtful", self.t, why)
+        for name, (status, age, why) in (self.motion.troubles() | self._own_troubles()).items():
+            found[name] = SensorStatus(status, self.t - age, why)
+        return found
+
+    def _troubles(self) -> dict[str, tuple[str, float, str]]:
+        """Return what is in trouble beside the sensors, for the notes: status, age (s), why."""
+        return self.motion.lasting_troubles() | self._own_troubles()
+
+    def _own_troubles(self) -> dict[str, tuple[str, float, str]]:
+        """Return the troubles of anemometer and navigation filter."""
+        found = {}
+        if self.monitor.doubts_wind:
+            wind = self.monitor.wind_status(self.begun)
+            found["wind"] = wind.status, self.t - wind.since, wind.why
+        if self.t - self._lost_at < LOST_SHOWN:
+            found["navigation"] = "doubtful", self.t - self._lost_at, LOST
         return found
 
     @property

@@ -380,6 +380,7 @@ def navigate(nav, dt, z, model, settings, work):
     settings, work : record
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
+    nav.lost = 0.0
     n, P, H = nav.n, nav.P, work.H
     dt = min(max(dt, 0.0), GAP_MAX)
     nav.clock += dt
@@ -475,7 +476,6 @@ def navigate(nav, dt, z, model, settings, work):
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
         _take_fix(nav, z, dt, gps_repeats, settings, work)
     if nav.lost > 0.0:
-        nav.lost = 0.0
         _forget_biases(nav, settings)
     remember(nav, settings)
 

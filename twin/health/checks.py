@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.health.commands import CHANGED, check_commands
+from twin.health.current import check_current
 from twin.health.heading import check_course, check_heading, turn_to_now
 from twin.health.position import check_position
 from twin.health.samples import (
@@ -60,7 +61,7 @@ def _take_state(s, health, given):
 
 
 @kernel
-def check_sensors(dt, z, cmd, s, ready, health, given, out):
+def check_sensors(dt, z, cmd, s, ready, current, health, given, out):
     """Hold the sensors of a row against each other, and leave out those at fault.
 
     Parameters
@@ -73,6 +74,8 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         State that the predictor had after the row before.
     ready : bool
         Whether that means anything.
+    current : tuple of 3 floats
+        What its model says of the water; see :func:`twin.health.current.check_current`.
     health, given : record
         ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
     out : ndarray, shape (19,)
@@ -95,7 +98,8 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     unexplained = command.status == DOUBTFUL and command.reason == NO_ANSWER
     fresh = unexplained and health.clock - command.since < CHANGED
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
-    note_absence(dt, health)
+    note_absence(dt, ready, health)
+    check_current(current, health, given)
     leave_out(health, out)
     turn_to_now(dt, out, new_compass, health, given)
     check_wind(dt, out, state, usable, health, given)

@@ -364,7 +364,8 @@ def _is_motion_known(dt, health):
     for sensor in range(ACCELEROMETERS):
         check = health.sensors[sensor]
         never = check.status == ABSENT and check.interval == 0.0
-        known = known and (check.status == OK or never)
+        # a doubtful GPS is used
+        known = known and (check.status == OK or check.status == DOUBTFUL or never)
     health.known_time = health.known_time + dt if known else 0.0
     return health.known_time > KNOWN_TIME
 

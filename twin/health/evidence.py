@@ -13,6 +13,7 @@ from twin.health.state import (
     COMPASS_SENSOR,
     EXCLUDED,
     GPS,
+    OK,
 )
 from usv_kernel.channels import COMPASS
 from usv_kernel.jit import inlined
@@ -21,6 +22,9 @@ __all__ = [
     "ALARM",
     "CALM",
     "CLEAR",
+    "FROZEN_INTERVALS",
+    "FROZEN_LONGEST",
+    "FROZEN_TIME",
     "GIVE_IN",
     "exclude",
     "is_fault",
@@ -85,7 +89,9 @@ def set_status(health, sensor, status, reason):
 @inlined
 def exclude(health, sensor, reason):
     """Leave a sensor out, and begin dead reckoning from where it was right."""
-    if health.sensors[sensor].status != EXCLUDED:
+    check = health.sensors[sensor]
+    if check.status != EXCLUDED:
+        check.in_use = health.clock - check.since if check.status == OK else 0.0
         if sensor == GPS:
             for k in range(2):
                 # the sum is the part of the fix that its velocity does not explain

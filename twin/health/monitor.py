@@ -18,19 +18,33 @@ from twin.health.state import (
     HEALTH,
     HEALTH_SETTINGS,
     HYPOTHESES,
+    OK,
     REASONS,
     SENSORS,
     STATUSES,
+    WIND_CHECK,
     health_settings,
     initial_health,
 )
 from twin.particulars import Particulars
 from usv_kernel.jit import kernel
-from usv_kernel.records import as_record
+from usv_kernel.records import as_record, field_at
 
 __all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
 
 Array = NDArray[Any]
+
+
+_CLOCK, _DUE = (field_at(HEALTH, name) for name in ("clock", "current_due"))
+
+_WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
+    field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
+)
+
+_NO_CURRENT = (math.nan, math.nan, math.nan)
+
+_LATER = ("wind.", "turn", "current_", "velocity_repeated", "velocity_longest", "sensors.in_use")
+"""Begin the names of fields that states saved by version 0.1 lack."""
 
 
 class SensorStatus(NamedTuple):
@@ -45,11 +59,10 @@ class SensorStatus(NamedTuple):
 
 
 @kernel
-def _check(dt, z, cmd, s, ready, memory, settings, out):
+def _check(dt, z, cmd, s, ready, current, memory, settings, out):
     """Do :func:`check_sensors` on flat memory."""
-    check_sensors(
-        dt, z, cmd, s, ready, as_record(memory, HEALTH), as_record(settings, HEALTH_SETTINGS), out
-    )
+    health, given = as_record(memory, HEALTH), as_record(settings, HEALTH_SETTINGS)
+    check_sensors(dt, z, cmd, s, ready, current, health, given, out)
 
 
 def statuses_of(health: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
@@ -126,8 +139,25 @@ class SensorMonitor:
         status = self.record["sensors"]["status"]
         return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED)
 
+    def wants_current(self, dt: float) -> bool:
+        """Return whether the next row, after dt s, looks at the current of the model."""
+        return bool(self.memory[_CLOCK] + dt >= self.memory[_DUE])
+
+    @property
+    def doubts_wind(self) -> bool:
+        """True while an anemometer is at fault, or silent after it was used."""
+        return bool(self.memory[_WIND_REASON] > 0.0 or self.memory[_WIND_KNOWN] > 0.0) and (
+            self.memory[_WIND_STATUS] != OK
+        )
+
     def check(
-        self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
+        self,
+        dt: float,
+        z: Array,
+        cmd: Array,
+        state: Array,
+        ready: bool,
+        current: tuple[float, float, float] | None = None,
     ) -> tuple[Array, Array]:
         """Take a row, and return what of it can be trusted.
 
@@ -141,6 +171,8 @@ class SensorMonitor:
             What the predictor said of the boat after the row before.
         ready : bool
             Whether that means anything.
+        current : tuple of 3 floats, optional
+            What its model says of the water; see :meth:`twin.predictors.base.Predictor.current`.
 
         Returns
         -------
@@ -149,7 +181,8 @@ class SensorMonitor:
             command, or the last one that was trusted.
         """
         state = np.ascontiguousarray(state)
-        _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
+        water = current or _NO_CURRENT
+        _check(dt, z, cmd, state, ready, water, self.memory, self._settings, self._out)
         return self._out.copy(), self.trusted(cmd)
 
     def trusted(self, cmd: Array) -> Array:
@@ -194,11 +227,9 @@ class SensorMonitor:
         views = self.views()
         blank = SensorMonitor.__new__(SensorMonitor)
         blank.remember(initial_health())
-        # saved before there were anemometers, or compasses that are known to be late
-        for group in ("wind.", "turn"):
-            if not any(name.startswith(group) for name in state):
-                new = {k: v for k, v in blank.state_dict().items() if k.startswith(group)}
-                state = new | state
+        # saved before there were some of the checks
+        new = {k: v for k, v in blank.state_dict().items() if k.startswith(_LATER)}
+        state = new | state
         check_fields(state, views, FIELDS)
         fill(views, state)
 
@@ -207,6 +238,7 @@ _POSITIVE = Field(low=0.0)
 
 FIELDS = {
     **dict.fromkeys(("last", "fix", "velocity", "course", "course_compass"), Field(nan=True)),
+    "current_past": Field(nan=True),
     # indices of names
     "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),

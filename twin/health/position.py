@@ -74,7 +74,7 @@ their own velocity: dead reckoning began in the garbage."""
 CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
 """An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
 comes back after its fixes followed its velocity again for so long, wherever it is;
-one that was left out for very long after the third time."""
+one that was left out for as long as nothing had been said against it, after the third time."""
 
 
 @inlined
@@ -107,7 +107,7 @@ def _pull(step_x, step_y, T, health, given):
     drift = given.gps_bias_sd * math.sqrt(PULL_TIME / BIAS_TIME)
     other = math.hypot(given.doppler_sd * PULL_VELOCITY, PULL_FLOOR)
     floor = math.hypot(math.hypot(white, drift), other) + STEP_SHARE * given.speed * T
-    learn = health.sensors[GPS].status == OK
+    learn = health.sensors[GPS].status != EXCLUDED
     health.pull_level = typical_size(health.pull_level, size, floor, T, health.clock, learn)
     factor = limited(size, health.pull_level)
     for k in range(2):
@@ -152,7 +152,8 @@ def _readmit(z, T, size, pull, frozen, health, given):
     gps.followed = gps.followed + T if follows else 0.0
     gps.calm = gps.calm + T if error < gate and follows else 0.0
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
-    most = LOST_TIME if gps.reason == RETURNING else GIVE_IN
+    # dead reckoning is worth as much as the fixes from which it began
+    most = LOST_TIME if gps.reason == RETURNING else min(max(gps.in_use, LOST_TIME), GIVE_IN)
     lasting = lasted > most and gps.followed > CALM_LONG
     if gps.calm > CALM or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
@@ -193,7 +194,9 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     if not doppler:
         floor += RECKONED_SHARE * given.speed * SUM_TIME
     floor += STEP_SHARE * given.speed * T
-    level = typical_size(health.position_level, size, floor, T, health.clock, gps.status == OK)
+    level = typical_size(
+        health.position_level, size, floor, T, health.clock, gps.status != EXCLUDED
+    )
     health.position_level = level
     jumped = math.hypot(step_x, step_y) > (
         max(ALARM * level, JUMP_MIN) + JUMP_SHARE * given.speed * T

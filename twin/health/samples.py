@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 
 from twin.channels import U
-from twin.health.evidence import CALM, exclude, set_status
+from twin.health.evidence import (
+    CALM,
+    FROZEN_INTERVALS,
+    FROZEN_LONGEST,
+    FROZEN_TIME,
+    exclude,
+    set_status,
+)
 from twin.health.state import (
     ABSENT,
     ACCELEROMETERS,
     COMPASS_SENSOR,
+    DOUBTFUL,
     EXCLUDED,
     FROZEN,
     GPS,
@@ -18,8 +26,9 @@ from twin.health.state import (
     NO_REASON,
     OK,
     RETURNING,
+    VELOCITY_FROZEN,
 )
-from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_X, GYRO
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GYRO
 from usv_kernel.jit import inlined, kernel
 
 __all__ = [
@@ -139,7 +148,7 @@ def _take_channels(dt, z, first, last, sensor, limit, health, out):
         check.repeated += check.age
         check.age = 0.0
         return False
-    if check.status == OK:
+    if check.status != EXCLUDED:
         faded = check.longest * math.exp(-check.repeated / LONGEST_TIME)
         check.longest = max(faded, check.repeated)
     check.repeated = 0.0
@@ -154,13 +163,39 @@ def _take_channels(dt, z, first, last, sensor, limit, health, out):
     return True
 
 
+@inlined
+def _take_velocity(new, T, z, health, out):
+    """Leave out the velocity of a GPS that repeats it while its fixes move."""
+    gps = health.sensors[GPS]
+    if not (math.isfinite(out[GPS_VX]) and math.isfinite(out[GPS_VY])) or not new:
+        return
+    if z[GPS_VX] == health.last[GPS_VX] and z[GPS_VY] == health.last[GPS_VY]:
+        health.velocity_repeated += T
+    else:
+        health.velocity_longest = max(
+            health.velocity_longest * math.exp(-T / LONGEST_TIME), health.velocity_repeated
+        )
+        health.velocity_repeated = 0.0
+    frozen = health.velocity_repeated > max(
+        FROZEN_TIME, FROZEN_INTERVALS * gps.interval, FROZEN_LONGEST * health.velocity_longest
+    )
+    if frozen:
+        out[GPS_VX] = out[GPS_VY] = math.nan
+        if gps.status == OK:
+            set_status(health, GPS, DOUBTFUL, VELOCITY_FROZEN)
+    elif gps.status == DOUBTFUL and gps.reason == VELOCITY_FROZEN:
+        set_status(health, GPS, OK, NO_REASON)
+
+
 @kernel
 def take_samples(dt, z, health, given, out):
     """Copy a row without its impossible numbers; return whether GPS and compass are new."""
     for j in range(z.shape[0]):
         out[j] = z[j]
     fastest = SPEED_MAX * given.speed
+    T = health.sensors[GPS].age + dt
     new_gps = _take_channels(dt, z, GPS_X, COMPASS, GPS, fastest, health, out)
+    _take_velocity(new_gps, T, z, health, out)
     new_compass = _take_channels(dt, z, COMPASS, GYRO, COMPASS_SENSOR, COMPASS_MAX, health, out)
     _take_channels(dt, z, GYRO, ACCEL_X, GYRO_SENSOR, GYRO_MAX, health, out)
     _take_channels(dt, z, ACCEL_X, ACCEL_Y + 1, ACCELEROMETERS, ACCEL_MAX, health, out)
@@ -185,7 +220,7 @@ def find_frozen(ready, health, given):
 
 
 @inlined
-def note_absence(dt, health):
+def note_absence(dt, ready, health):
     """Note which sensors are silent, and which give sane numbers again."""
     for sensor in range(ACCELEROMETERS + 1):
         check = health.sensors[sensor]
@@ -198,8 +233,8 @@ def note_absence(dt, health):
             check.calm += dt
             if check.calm > CALM:
                 check.impossible = 0.0
-                # a place or heading must also be near where dead reckoning puts it
-                if sensor <= COMPASS_SENSOR:
+                # a place or heading must also be near where dead reckoning puts it, if there is any
+                if ready and sensor <= COMPASS_SENSOR:
                     set_status(health, sensor, EXCLUDED, RETURNING)
                 else:
                     set_status(health, sensor, OK, NO_REASON)

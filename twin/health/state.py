@@ -25,6 +25,7 @@ __all__ = [
     "REASONS",
     "SENSORS",
     "STATUSES",
+    "WIND_CHECK",
     "health_settings",
     "initial_health",
 ]
@@ -54,6 +55,9 @@ REASONS = (
     "gave impossible numbers, and is not yet trusted again",
     "do not reach the left thruster",
     "do not reach the right thruster",
+    "makes a current larger than is plausible: its fixes may be drawn away",
+    "makes the current change faster than is plausible: its fixes may be drawn away",
+    "repeats its velocity, which is not used",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -70,6 +74,9 @@ REASONS = (
     RETURNING,
     NO_LEFT,
     NO_RIGHT,
+    LARGE_CURRENT,
+    CURRENT_CHANGES,
+    VELOCITY_FROZEN,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(
@@ -85,6 +92,7 @@ CHECK = np.dtype(
         ("calm", "f8"),  # how long it has been consistent while excluded, s
         ("followed", "f8"),  # how long it has been consistent in itself while excluded, s
         ("impossible", "f8"),  # recent share of impossible numbers
+        ("in_use", "f8"),  # how long nothing had been said against it when it was excluded, s
     ]
 )
 """What is remembered of a sensor."""
@@ -119,6 +127,9 @@ HYPOTHESES = 8
 """What may be wrong with the commands, the first of them nothing."""
 
 N_COMMANDS, N_STATES = len(COMMANDS), len(STATE)
+
+CURRENT_LOOKS = 9
+"""Looks at the current of the model that are remembered."""
 
 LAG_SUMS = np.dtype(
     [("weight", "f8"), ("r", "f8"), ("beta", "f8"), ("r_r", "f8"), ("r_beta", "f8")]
@@ -189,6 +200,12 @@ HEALTH = np.dtype(
         ("accel_bias", "f8", 2),  # of forward and starboard, m/s2
         ("velocity_sum", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
         ("velocity_level", "f8"),  # its typical size, m/s
+        ("velocity_repeated", "f8"),  # how long the velocity has repeated itself, s
+        ("velocity_longest", "f8"),  # longest repetition while it was right, s
+        # current of the model
+        ("current_due", "f8"),  # time at which it is looked at again, s
+        ("current_past", "f8", (CURRENT_LOOKS, 3)),  # north, east and sd then, m/s; NaN for none
+        ("current_doubted", "f8"),  # time until which a change makes the GPS doubtful, s
         # commands against the motion: a filter of yaw rate and surge for each hypothesis
         ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
@@ -292,6 +309,6 @@ def initial_health() -> Array:
     memory = np.zeros(HEALTH.itemsize // 8)
     health = memory.view(HEALTH)[0]
     health["sensors"]["status"] = ABSENT
-    for name in ("last", "course", "fix", "velocity"):
+    for name in ("last", "course", "fix", "velocity", "current_past"):
         health[name] = math.nan
     return memory

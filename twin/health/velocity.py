@@ -105,7 +105,7 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     floor = math.sqrt(2.0) * given.doppler_sd + given.accel_bias_sd * SUM_TIME + given.tilt
     floor += given.accel_sd * math.sqrt(0.5 * max(dt, SHORTEST_STEP) * SUM_TIME) + FLOOR
     floor += given.arm * ARM_TURN / given.time_scale
-    trusted = accel.status == OK and gps.status == OK
+    trusted = accel.status == OK and gps.status != EXCLUDED
     level = typical_size(health.velocity_level, size, floor, T, health.clock, trusted)
     health.velocity_level = level
     if trusted:

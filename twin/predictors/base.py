@@ -289,6 +289,11 @@ class Predictor(ABC):
         """True once a first fix and a first heading have come."""
         return self.estimate().ready
 
+    @property
+    def lost(self) -> bool:
+        """True after a row whose sensors showed that the navigation was lost, and began again."""
+        return False
+
     def current(self) -> tuple[float, float, float] | None:
         """Return the assumed velocity of the water to north and east, and its standard deviation.
 

@@ -403,6 +403,11 @@ class ModelPredictor(Predictor):
         self.add_common_error(variance)
         return self.ready
 
+    @property
+    def lost(self) -> bool:
+        """See :attr:`twin.predictors.base.Predictor.lost`."""
+        return bool(self._nav["lost"] > 0.0)
+
     def current(self) -> tuple[float, float, float] | None:
         """See :meth:`twin.predictors.base.Predictor.current`."""
         at = int(self.ukf.terms.hull[CURRENT])

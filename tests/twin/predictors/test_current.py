@@ -8,7 +8,7 @@ import pytest
 from twin import Twin
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.channels import MEASUREMENTS
-from twin.health.current import CurrentWatch
+from twin.health.monitor import SensorMonitor
 from twin.identification.data_weight import CHANGED, is_stable
 from twin.model.rollout import GRID
 from twin.sim.bridge import particulars_of, simulate
@@ -127,26 +127,44 @@ def test_current_that_no_turn_has_shown_is_within_what_is_claimed():
     assert np.mean(inside) >= 0.75
 
 
-def test_current_that_is_too_large_makes_the_gps_doubtful(log):
+def looks(currents, speed=5.4):
+    """Return status and reason of a GPS while a model says these currents, one each 5 s."""
+    monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
+    z, cmd, state = np.full(19, math.nan), np.zeros(4), np.zeros(6)
+    found = []
+    for k, current in enumerate(currents):
+        z[GPS] = 0.01 * k, 0.0, 0.01 * (k % 2), 0.0
+        monitor.check(5.0, z, cmd, state, True, current)
+        found.append(monitor.statuses(0.0)["gps"])
+    return found
+
+
+def test_current_that_is_too_large_makes_the_gps_doubtful():
+    steady, large = (0.1, 0.0, 0.05), (1.5, -1.5, 0.05)
+    found = looks([steady, large])
+    assert found[0].status == "ok"
+    assert found[1].status == "doubtful" and "larger than is plausible" in found[1].why
+    assert found[1].since == 10.0
+
+
+def test_current_that_changes_fast_makes_the_gps_doubtful_for_a_minute():
+    steady, surer, changed = (0.1, 0.0, 0.05), (0.1, 0.3, 0.05), (0.1, 0.6, 0.05)
+    found = looks([steady] * 20 + [surer] + [changed] * 30)
+    assert {each.status for each in found[:21]} == {"ok"}  # within the standard deviations
+    assert found[21].status == "doubtful" and "faster than is plausible" in found[21].why
+    assert found[-1].status == "ok"
+
+
+def test_doubt_of_a_current_is_noted_and_saved(log, tmp_path):
     twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
     twin.run(log.slice(0.0, 30.0))
-    assert twin.health["gps"].status == "ok"
     at = twin.predictor.parameter_names.index("C_north")
     twin.predictor.ukf.xi[at : at + 2] = 1.5, -1.5
-    found = twin.health["gps"]
-    assert found.status == "doubtful" and "current of at least" in found.why
-
-
-def test_current_that_changes_fast_makes_the_gps_doubtful():
-    watch = CurrentWatch()
-    for t in range(0, 100, 5):
-        watch.take(float(t), (0.1, 0.0, 0.05))
-        assert not watch.why_doubtful(float(t), (0.1, 0.0, 0.05))
-    watch.take(100.0, (0.1, 0.3, 0.05))  # within the standard deviations
-    assert not watch.why_doubtful(100.0, (0.1, 0.3, 0.05))
-    watch.take(105.0, (0.1, 0.6, 0.05))
-    assert "change by 0.6 m/s" in watch.why_doubtful(105.0, (0.1, 0.6, 0.05))
-    assert not watch.why_doubtful(300.0, (0.1, 0.6, 0.05))
+    twin.run(log.slice(30.0, 36.0))
+    assert twin.health["gps"].status == "doubtful"
+    assert any("gps doubtful" in line for line in twin.notes)
+    twin.save(tmp_path / "a.twin")
+    assert Twin.load(tmp_path / "a.twin").health["gps"] == twin.health["gps"]
 
 
 def test_boat_that_has_changed_is_predicted_soon():
