@@ -166,6 +166,7 @@ class Twin:
             **{
                 "t": self.t,
                 "begun": self.begun,
+                "lost_at": self._lost_at,
                 "state": {k: v for k, v in state.items() if f"state.{k}" not in kept},
             },
         }
@@ -260,6 +261,7 @@ class Twin:
         twin.monitor.load_state_dict(without_prefix("health", arrays))
         twin.motion.load_state_dict(without_prefix("motion", arrays))
         twin.begun = float(header["begun"])
+        twin._lost_at = float(header.get("lost_at", math.nan))
         twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
         now = twin.predictor.estimate()
         if now.ready and not abs(now.t - twin.t) <= 1e-6:

@@ -22,15 +22,11 @@ from usv_kernel.jit import kernel
 
 __all__ = ["check_current"]
 
-LARGEST, LARGEST_SHARE = 1.0, 0.1
-"""A current above this is not plausible where no one has said so: m/s, or nominal speeds if that is
-more, as the model of a fast boat says less of slow water."""
+LARGEST = 1.0
+"""A current above this is not plausible where no one has said so, m/s."""
 
-CHANGE, CHANGE_SHARE = 0.25, 0.05
-"""Nor is one that changes by more than this within the looks that are remembered, likewise."""
-
-EVERY = 5.0
-"""The current is looked at each so many seconds."""
+EVERY, FIRST = 5.0, 30.0
+"""The current is looked at each so many seconds, from so many seconds on: it is first learned."""
 
 SURE = 2.0
 """Standard deviations by which it must be so."""
@@ -54,22 +50,21 @@ def check_current(current, health, given):
     if health.clock < health.current_due:
         return
     north, east, sd = current
-    health.current_due = health.clock + EVERY
-    if not math.isfinite(sd):
+    health.current_due = max(health.clock + EVERY, FIRST)
+    if not math.isfinite(sd) or health.clock < FIRST:
         return
     past = health.current_past
-    change = max(CHANGE, CHANGE_SHARE * given.speed)
     for look in range(CURRENT_LOOKS):
         by = math.hypot(north - past[look, 0], east - past[look, 1])
         # false where there was no look
-        if by - SURE * math.hypot(sd, past[look, 2]) > change:
+        if by - SURE * math.hypot(sd, past[look, 2]) > given.current_change:
             health.current_doubted = health.clock + SHOWN
     for look in range(CURRENT_LOOKS - 1, 0, -1):
         for k in range(3):
             past[look, k] = past[look - 1, k]
     past[0, 0], past[0, 1], past[0, 2] = north, east, sd
     gps, reason = health.sensors[GPS], NO_REASON
-    if math.hypot(north, east) - SURE * sd > max(LARGEST, LARGEST_SHARE * given.speed):
+    if math.hypot(north, east) - SURE * sd > LARGEST:
         reason = LARGE_CURRENT
     elif health.clock < health.current_doubted:
         reason = CURRENT_CHANGES

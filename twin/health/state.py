@@ -261,6 +261,8 @@ HEALTH_SETTINGS = np.dtype(
         ("sides", "f8"),  # 1 for a boat with a thruster on each side, else 0
         ("wind_gain", "f8"),  # wind 10 m above the sea over that at the anemometer
         ("compass_latency", "f8"),  # declared age of a heading, s
+        # change of the current within the looks remembered that is not plausible, m/s
+        ("current_change", "f8"),
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -269,6 +271,10 @@ HEALTH_SETTINGS = np.dtype(
 TURN_FREE, TURN_FACTOR = 1.0, 2.0
 """No boat turns faster than this (rad/s) and so many nominal speeds over its length."""
 
+
+CURRENT_CHANGE, CURRENT_CHANGE_ROUGH = 0.25, 0.5
+"""Largest change of the current within 40 s that is plausible, m/s: of a boat whose class is known,
+and of one whose model errs by as much itself."""
 
 REFERENCE_HEIGHT, PROFILE = 10.0, 0.11
 """The wind of the model is that of this height, m; exponent of the wind's profile over open sea.
@@ -300,6 +306,7 @@ def health_settings(particulars: Particulars) -> Array:
             particulars.steering != "rudder",
             (REFERENCE_HEIGHT / I.wind_height) ** PROFILE,
             I.compass_latency,
+            CURRENT_CHANGE if particulars.design else CURRENT_CHANGE_ROUGH,
         ]
     )
 
