@@ -26,6 +26,7 @@ from twin.health.state import (
     NO_REASON,
     OK,
     RETURNING,
+    SILENT,
     VELOCITY_FROZEN,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GYRO
@@ -226,7 +227,7 @@ def note_absence(dt, ready, health):
         check = health.sensors[sensor]
         silent = check.age > max(ABSENT_TIME, ABSENT_INTERVALS * check.interval)
         if check.status != ABSENT and silent:
-            set_status(health, sensor, ABSENT, NO_REASON)
+            set_status(health, sensor, ABSENT, SILENT)
             check.since = health.clock - check.age
             check.impossible = 0.0
         if check.status == EXCLUDED and check.reason == IMPOSSIBLE:

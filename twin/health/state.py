@@ -58,6 +58,7 @@ REASONS = (
     "makes a current larger than is plausible: its fixes may be drawn away",
     "makes the current change faster than is plausible: its fixes may be drawn away",
     "repeats its velocity, which is not used",
+    "has gone silent",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -77,6 +78,7 @@ REASONS = (
     LARGE_CURRENT,
     CURRENT_CHANGES,
     VELOCITY_FROZEN,
+    SILENT,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(
@@ -303,7 +305,7 @@ def health_settings(particulars: Particulars) -> Array:
             TURN_FREE + TURN_FACTOR * U / L,
             particulars.shaft_speed,
             max(particulars.shaft_lag, particulars.steer_lag),
-            particulars.steering != "rudder",
+            particulars.steering != "rudder" and not particulars.tanker,
             (REFERENCE_HEIGHT / I.wind_height) ** PROFILE,
             I.compass_latency,
             CURRENT_CHANGE if particulars.design else CURRENT_CHANGE_ROUGH,

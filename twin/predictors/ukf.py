@@ -403,11 +403,6 @@ class ModelPredictor(Predictor):
         self.add_common_error(variance)
         return self.ready
 
-    @property
-    def lost(self) -> bool:
-        """See :attr:`twin.predictors.base.Predictor.lost`."""
-        return bool(self._nav["lost"] > 0.0)
-
     def current(self) -> tuple[float, float, float] | None:
         """See :meth:`twin.predictors.base.Predictor.current`."""
         at = int(self.ukf.terms.hull[CURRENT])
@@ -566,6 +561,11 @@ class UKFPredictor(ModelPredictor):
     def ready(self) -> bool:
         """True once the filter has begun."""
         return bool(self.memory.nav.view(NAVIGATION)[0]["begun"])
+
+    @property
+    def lost(self) -> bool:
+        """See :attr:`twin.predictors.base.Predictor.lost`."""
+        return bool(self._nav["lost"] > 0.0)
 
     @property
     def navigation(self) -> Array:

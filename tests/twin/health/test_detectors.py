@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 
@@ -305,3 +306,65 @@ def test_commands_wrong_from_the_beginning_are_named(vessel, change, manoeuvre):
     assert health["commands"].status == "doubtful"
     assert health["commands"].why == "commands have the wrong sign or swapped sides"
     assert {name for name, item in health.items() if item.status != "ok"} == {"commands"}
+
+
+@pytest.mark.parametrize("name", ["ukf", "dsw-ukf-plus", "dsw-ukf"])
+@pytest.mark.parametrize("bad", [1, 2, 20])
+def test_impossible_first_fixes_do_not_keep_a_twin_from_starting(name, bad):
+    log, _, _ = base("zigzag")
+    twin, left = Twin(particulars_of(Vessel.load("usv75")), name), bad
+    for t, z, cmd in log.slice(0.0, 20.0).without_truth():
+        z = z.copy()
+        if left and math.isfinite(z[GPS_X]):
+            z[GPS_X] = z[GPS_Y] = 1e9
+            left -= 1
+        twin.step(t, z, cmd)
+    found, row = twin.estimate(), int(np.searchsorted(log.t, twin.t))
+    assert found.ready and twin.health["gps"].status == "ok"
+    assert np.hypot(*(found.state[:2] - log.truth[row, :2])) < 10.0
+
+
+@few
+@given(manoeuvres, starts)
+def test_frozen_gps_velocity_is_not_used(manoeuvre, start):
+    def change(rows: Rows) -> None:
+        last = rows.before[: len(rows.before) - len(rows.z), GPS_VX : GPS_VY + 1]
+        held = last[np.isfinite(last).all(axis=1)][-1]
+        given = np.isfinite(rows.z[:, GPS_VX])
+        rows.z[given, GPS_VX : GPS_VY + 1] = held
+
+    found = watch_fault(fault(change), manoeuvre, start=start)
+    assert not found.named
+    assert found.mentioned == {"gps"} and found.first("gps") <= start - START + 2.0
+    assert "repeats its velocity" in found.findings[0].why
+    assert set(found.last.values()) == {"ok"}
+
+
+def test_gps_that_starts_far_away_is_soon_taken_back():
+    """Three seconds of fixes are no reason to doubt those that follow for a minute."""
+    log, _, _ = base("zigzag")
+    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
+    for t, z, cmd in log.slice(0.0, 30.0).without_truth():
+        z = z.copy()
+        z[GPS_X] += 85e3 if t < 3.0 else 0.0
+        twin.step(t, z, cmd)
+    row = int(np.searchsorted(log.t, twin.t))
+    assert twin.health["gps"].status == "ok"
+    assert np.hypot(*(twin.estimate().state[:2] - log.truth[row, :2])) < 10.0
+
+
+def test_navigation_that_is_lost_says_so_and_begins_again(tmp_path):
+    log, twin, first = base("zigzag")
+    twin = copy.deepcopy(twin)
+    twin.predictor.navigation[0] += 5000.0
+    for row in range(first, first + 60):
+        twin.step(log.t[row], log.z[row], log.cmd[row])
+    found = twin.health["navigation"]
+    assert found.status == "doubtful" and "began again" in found.why
+    assert any(line.startswith("navigation doubtful") for line in twin.notes)
+    assert np.hypot(*(twin.estimate().state[:2] - log.truth[row, :2])) < 10.0
+    twin.save(tmp_path / "a.twin")
+    assert Twin.load(tmp_path / "a.twin").health == twin.health
+    for row in range(first + 60, first + 300):
+        twin.step(log.t[row], log.z[row], log.cmd[row])
+    assert "navigation" not in twin.health

@@ -79,7 +79,7 @@ def test_a_run_over_a_log_leaves_lines_that_name_the_culprit(log):
     twin = Twin(PARTICULARS, "ukf")
     twin.run(log)
     assert [line for line in twin.notes if line.startswith("gyro excluded from 1")]
-    absent = r"gps absent from (29\.9|30\.0) to 38\.[0-2] s"
+    absent = r"gps absent from (29\.9|30\.0) to 38\.[0-2] s: has gone silent"
     assert [line for line in twin.notes if re.fullmatch(absent, line)]
     assert all(" from " in line and len(line) < 100 for line in twin.notes)
     other = Twin(PARTICULARS, "ukf")

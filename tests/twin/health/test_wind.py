@@ -83,6 +83,7 @@ def test_an_anemometer_at_fault_is_named(kind: str, status: str) -> None:
     twin, _ = twin_after(broken(kind))
     found = twin.health["wind"]
     assert found.status == status and found.why.startswith("wind ")
+    assert any(line.startswith(f"wind {status} from") for line in twin.notes)
     late = STUCK_TIME if status == "excluded" else SILENT_TIME
     # a faulty sample comes a quarter of a second after the last good one at the latest
     assert found.since == pytest.approx(40.0 + late, abs=0.6)
