@@ -24,7 +24,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_kernel.cache import running_program
 
-__all__ = ["MATRIX_FAULTS", "FaultRun", "fault_runs", "matrix_table"]
+__all__ = ["MATRIX_FAULTS", "FaultRun", "Sailing", "fault_runs", "matrix_table"]
 
 Array = NDArray[np.float64]
 
@@ -60,6 +60,15 @@ class FaultRun(NamedTuple):
     others: int  # sensors that were named without being at fault
 
 
+class Sailing(NamedTuple):
+    """What a boat sails meanwhile."""
+
+    manoeuvre: str = "zigzag"
+    vessel: str = "usv75"
+    hs: float = 0.5  # significant wave height, m
+    wind: float = 4.5  # mean wind at 10 m, m/s
+
+
 class _Track(NamedTuple):
     """Predictions of a run: time, error now and 10 s ahead (m), and whether within 90 %."""
 
@@ -76,15 +85,15 @@ def _inside(error: Array, cov: Array) -> bool:
     return bool(error @ np.linalg.solve(cov[:2, :2], error) < REGION_90)
 
 
-def _track(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -> _Track:
+def _track(predictor: str, fault: str, seed: int, sailing: Sailing) -> _Track:
     """Predict along a run with a fault."""
-    boat, given = Vessel.load(vessel), SENSOR_FAULTS[fault]
+    boat, given = Vessel.load(sailing.vessel), SENSOR_FAULTS[fault]
     log = simulate_with(
         given,
         START,
-        manoeuvre,
+        sailing.manoeuvre,
         boat,
-        SeaState(hs=0.5, wind=4.5),
+        SeaState(hs=sailing.hs, wind=sailing.wind),
         duration=START + given.seconds + AFTER + HORIZON,
         seed=seed,
     )
@@ -113,14 +122,14 @@ def _track(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -
     return _Track(times, now, ahead, inside_now, inside_ahead, named)
 
 
-def _run(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -> FaultRun:
+def _run(predictor: str, fault: str, seed: int, sailing: Sailing) -> FaultRun:
     """Return what a run with a fault shows beside the one without."""
     given = SENSOR_FAULTS[fault]
-    track = _track(predictor, fault, seed, manoeuvre, vessel)
-    clean = _track(predictor, "clean", seed, manoeuvre, vessel)
+    track = _track(predictor, fault, seed, sailing)
+    clean = _track(predictor, "clean", seed, sailing)
     end, recovered = START + given.seconds, math.inf
     over = START if given.lasts else end
-    for begin in np.arange(over, track.t[-1] - SPAN, EVERY):
+    for begin in np.arange(over, min(track.t[-1], clean.t[-1]) - SPAN, EVERY):
         span = (track.t >= begin) & (track.t < begin + SPAN)
         normal = (clean.t >= begin) & (clean.t < begin + SPAN)
         if track.ahead[span].mean() <= FACTOR * clean.ahead[normal].mean() + FREE:
@@ -146,8 +155,7 @@ def fault_runs(
     seeds: Sequence[int],
     file: Path,
     *,
-    manoeuvre: str = "zigzag",
-    vessel: str = "usv75",
+    sailing: Sailing = Sailing(),
     jobs: int = 1,
 ) -> Iterator[tuple[int, int, list[FaultRun]]]:
     """Sail every fault with every predictor and seed; yield (done, all, results) after each.
@@ -155,14 +163,14 @@ def fault_runs(
     Finished runs are kept in ``file`` (JSON). The same program does not sail them again.
     """
     foreign = {name: text for name in sorted(predictors) if (text := predictor_digest(name))}
-    key = [running_program(), manoeuvre, vessel, *([foreign] if foreign else [])]
+    key = [running_program(), *sailing, *([foreign] if foreign else [])]
     results = [FaultRun(*item) for item in kept(file, key) or ()]
     done = {(item.predictor, item.fault, item.seed) for item in results}
     units = [(p, f, s) for p in predictors for f in faults for s in seeds]
     left = [unit for unit in units if unit not in done]
     yield len(units) - len(left), len(units), results
     with ProcessPoolExecutor(jobs) as pool:
-        tasks = [pool.submit(_run, *unit, manoeuvre, vessel) for unit in left]
+        tasks = [pool.submit(_run, *unit, sailing) for unit in left]
         try:
             for task in as_completed(tasks):
                 results.append(task.result())
@@ -182,8 +190,8 @@ def matrix_table(results: Sequence[FaultRun]) -> list[str]:
     """Return the lines of a Markdown table: a row for each fault, predictor by predictor."""
     lines = [
         "| fault | predictor | normal again after, s | inside 90 % now / 10 s ahead | "
-        "farthest, m | named after, s | runs |",
-        "|---|---|---|---|---|---|---|",
+        "farthest, m | named after, s | others named | runs |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for fault in SENSOR_FAULTS:
         for predictor in dict.fromkeys(item.predictor for item in results):
@@ -199,6 +207,6 @@ def matrix_table(results: Sequence[FaultRun]) -> list[str]:
                 f"| {SENSOR_FAULTS[fault].text} | `{predictor}` | "
                 f"{_seconds(np.array([r.recovered for r in some]))} | "
                 f"{100 * now:.0f} / {100 * ahead:.0f} % | {max(r.farthest for r in some):.1f} | "
-                f"{named} | {len(some)} |"
+                f"{named} | {sum(r.others for r in some) or ''} | {len(some)} |"
             )
     return lines

@@ -16,7 +16,16 @@ from twin.sim.bridge import CONTROL_STEP, prepare, sail
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VY, GPS_X, GPS_Y, GYRO
+from usv_kernel.channels import (
+    ACCEL_X,
+    ACCEL_Y,
+    COMPASS,
+    GPS_VX,
+    GPS_VY,
+    GPS_X,
+    GPS_Y,
+    GYRO,
+)
 
 __all__ = ["SENSOR_FAULTS", "SensorFault", "inject", "simulate_with"]
 
@@ -207,6 +216,13 @@ SENSOR_FAULTS = {
         SensorFault("gps-jump", "GPS jumps by 500 m", 10.0, ("gps",), _added(GPS_X, 500.0)),
         SensorFault("gps-jump-small", "GPS jumps by 20 m", 10.0, ("gps",), _added(GPS_Y, 20.0)),
         SensorFault("gps-frozen", "GPS frozen", 20.0, ("gps",), _frozen(GPS_CHANNELS)),
+        SensorFault(
+            "gps-velocity-frozen",
+            "GPS velocity frozen, fixes right",
+            20.0,
+            ("gps",),
+            _frozen(slice(GPS_VX, GPS_VY + 1)),
+        ),
         SensorFault("gps-absurd", "GPS of 1e9", 10.0, ("gps",), _set(GPS_CHANNELS, 1e9)),
         SensorFault("gps-late", "GPS 5 s late", 30.0, ("gps",), _late(5.0)),
         SensorFault(

@@ -99,7 +99,8 @@ def benchmark_command(
         typer.Option(
             "--faults-matrix",
             help="Only sail every fault of sensors and commands that the twin knows, and print how "
-            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-7] restrict it.",
+            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-7] restrict it; --vessel, "
+            "--hs, --wind and one of --scenarios say what sails.",
         ),
     ] = False,
     scenarios: Annotated[
@@ -221,7 +222,11 @@ def benchmark_command(
         return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
-        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), out, jobs)
+        sea = sea_settings(hs, wind, wind_from)
+        sailing = {"vessel": vessel, "hs": sea["hs"], "wind": sea["wind"]}
+        if scenarios is not None:
+            sailing["manoeuvre"] = scenarios
+        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), sailing, out, jobs)
         return
     check_backend(backend)
     asked = parse_predictors(predictors)
@@ -399,16 +404,22 @@ def _print_findings(title: str, found: Sequence[Finding]) -> None:
         raise typer.Exit(1)
 
 
-def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: int) -> None:
+def _matrix(
+    predictors: Sequence[str], seeds: Sequence[int], sailing: dict[str, Any], out: Path, jobs: int
+) -> None:
     """Sail the fault matrix, and print and write its table."""
-    from twin.benchmark.fault_matrix import MATRIX_FAULTS, fault_runs, matrix_table
+    from twin.benchmark.fault_matrix import MATRIX_FAULTS, Sailing, fault_runs, matrix_table
+
+    given = Sailing(**sailing)
+    Vessel.load(given.vessel)
 
     out.mkdir(parents=True, exist_ok=True)
     file, results = out / "fault_matrix.json", []
     with progress_bar() as bar:
         task = bar.add_task("fault matrix", total=None)
         try:
-            for done, total, found in fault_runs(predictors, MATRIX_FAULTS, seeds, file, jobs=jobs):
+            runs = fault_runs(predictors, MATRIX_FAULTS, seeds, file, sailing=given, jobs=jobs)
+            for done, total, found in runs:
                 results = found
                 bar.update(task, completed=done, total=total)
         except KeyboardInterrupt:
