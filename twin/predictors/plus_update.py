@@ -506,7 +506,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         if selector.count[SCORED] >= SEGMENTS_MIN:
             if refit.joint == NONE:
                 _take_proved(state, selector, memory, model, refit, work)
-            elif given.rest_push < 1.0:
+            elif given.rest_push < 1.0 and int(selector.count[CHOSEN]) == JOINT:
                 _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
