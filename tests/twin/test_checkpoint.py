@@ -351,7 +351,17 @@ def change(path, header=None, arrays=None):
 
 def test_file_names_its_fields_and_no_program(saved, contents):
     header, arrays = opened(contents["dsw-ukf-plus"])
-    expected = {"predictor", "class", "seed", "options", "particulars", "t", "begun", "state"}
+    expected = {
+        "predictor",
+        "class",
+        "seed",
+        "options",
+        "particulars",
+        "t",
+        "begun",
+        "lost_at",
+        "state",
+    }
     assert set(header) == expected | {"format", "version", "software"}
     assert {"state.filter.P.npy", "state.segments.packed.npy"} <= set(arrays)
     again = Twin.load(saved)

@@ -19,12 +19,13 @@ from twin.benchmark.publish.sources import predictor_digest
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject, simulate_with
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
+from twin.health.state import SENSORS
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_kernel.cache import running_program
 
-__all__ = ["MATRIX_FAULTS", "FaultRun", "Sailing", "fault_runs", "matrix_table"]
+__all__ = ["MATRIX_FAULTS", "FaultRun", "Trial", "fault_runs", "matrix_table"]
 
 Array = NDArray[np.float64]
 
@@ -60,13 +61,16 @@ class FaultRun(NamedTuple):
     others: int  # sensors that were named without being at fault
 
 
-class Sailing(NamedTuple):
+class Trial(NamedTuple):
     """What a boat sails meanwhile."""
 
     manoeuvre: str = "zigzag"
     vessel: str = "usv75"
     hs: float = 0.5  # significant wave height, m
     wind: float = 4.5  # mean wind at 10 m, m/s
+
+
+USUAL = Trial()
 
 
 class _Track(NamedTuple):
@@ -85,15 +89,15 @@ def _inside(error: Array, cov: Array) -> bool:
     return bool(error @ np.linalg.solve(cov[:2, :2], error) < REGION_90)
 
 
-def _track(predictor: str, fault: str, seed: int, sailing: Sailing) -> _Track:
+def _track(predictor: str, fault: str, seed: int, trial: Trial) -> _Track:
     """Predict along a run with a fault."""
-    boat, given = Vessel.load(sailing.vessel), SENSOR_FAULTS[fault]
+    boat, given = Vessel.load(trial.vessel), SENSOR_FAULTS[fault]
     log = simulate_with(
         given,
         START,
-        sailing.manoeuvre,
+        trial.manoeuvre,
         boat,
-        SeaState(hs=sailing.hs, wind=sailing.wind),
+        SeaState(hs=trial.hs, wind=trial.wind),
         duration=START + given.seconds + AFTER + HORIZON,
         seed=seed,
     )
@@ -122,11 +126,11 @@ def _track(predictor: str, fault: str, seed: int, sailing: Sailing) -> _Track:
     return _Track(times, now, ahead, inside_now, inside_ahead, named)
 
 
-def _run(predictor: str, fault: str, seed: int, sailing: Sailing) -> FaultRun:
+def _run(predictor: str, fault: str, seed: int, trial: Trial) -> FaultRun:
     """Return what a run with a fault shows beside the one without."""
     given = SENSOR_FAULTS[fault]
-    track = _track(predictor, fault, seed, sailing)
-    clean = _track(predictor, "clean", seed, sailing)
+    track = _track(predictor, fault, seed, trial)
+    clean = _track(predictor, "clean", seed, trial)
     end, recovered = START + given.seconds, math.inf
     over = START if given.lasts else end
     for begin in np.arange(over, min(track.t[-1], clean.t[-1]) - SPAN, EVERY):
@@ -145,7 +149,7 @@ def _run(predictor: str, fault: str, seed: int, sailing: Sailing) -> FaultRun:
         float(track.inside_ahead[meanwhile].mean()),
         float(track.now[meanwhile].max()),
         min((track.named.get(name, math.inf) for name in given.sensors), default=math.inf),
-        len(set(track.named) - set(given.sensors)),
+        len(set(track.named) & set(SENSORS) - set(given.sensors)),
     )
 
 
@@ -155,7 +159,7 @@ def fault_runs(
     seeds: Sequence[int],
     file: Path,
     *,
-    sailing: Sailing = Sailing(),
+    trial: Trial = USUAL,
     jobs: int = 1,
 ) -> Iterator[tuple[int, int, list[FaultRun]]]:
     """Sail every fault with every predictor and seed; yield (done, all, results) after each.
@@ -163,14 +167,14 @@ def fault_runs(
     Finished runs are kept in ``file`` (JSON). The same program does not sail them again.
     """
     foreign = {name: text for name in sorted(predictors) if (text := predictor_digest(name))}
-    key = [running_program(), *sailing, *([foreign] if foreign else [])]
+    key = [running_program(), *trial, *([foreign] if foreign else [])]
     results = [FaultRun(*item) for item in kept(file, key) or ()]
     done = {(item.predictor, item.fault, item.seed) for item in results}
     units = [(p, f, s) for p in predictors for f in faults for s in seeds]
     left = [unit for unit in units if unit not in done]
     yield len(units) - len(left), len(units), results
     with ProcessPoolExecutor(jobs) as pool:
-        tasks = [pool.submit(_run, *unit, sailing) for unit in left]
+        tasks = [pool.submit(_run, *unit, trial) for unit in left]
         try:
             for task in as_completed(tasks):
                 results.append(task.result())

@@ -223,10 +223,10 @@ def benchmark_command(
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
         sea = sea_settings(hs, wind, wind_from)
-        sailing = {"vessel": vessel, "hs": sea["hs"], "wind": sea["wind"]}
+        trial = {"vessel": vessel, "hs": sea["hs"], "wind": sea["wind"]}
         if scenarios is not None:
-            sailing["manoeuvre"] = scenarios
-        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), sailing, out, jobs)
+            trial["manoeuvre"] = scenarios
+        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), trial, out, jobs)
         return
     check_backend(backend)
     asked = parse_predictors(predictors)
@@ -405,12 +405,12 @@ def _print_findings(title: str, found: Sequence[Finding]) -> None:
 
 
 def _matrix(
-    predictors: Sequence[str], seeds: Sequence[int], sailing: dict[str, Any], out: Path, jobs: int
+    predictors: Sequence[str], seeds: Sequence[int], trial: dict[str, Any], out: Path, jobs: int
 ) -> None:
     """Sail the fault matrix, and print and write its table."""
-    from twin.benchmark.fault_matrix import MATRIX_FAULTS, Sailing, fault_runs, matrix_table
+    from twin.benchmark.fault_matrix import MATRIX_FAULTS, Trial, fault_runs, matrix_table
 
-    given = Sailing(**sailing)
+    given = Trial(**trial)
     Vessel.load(given.vessel)
 
     out.mkdir(parents=True, exist_ok=True)
@@ -418,7 +418,7 @@ def _matrix(
     with progress_bar() as bar:
         task = bar.add_task("fault matrix", total=None)
         try:
-            runs = fault_runs(predictors, MATRIX_FAULTS, seeds, file, sailing=given, jobs=jobs)
+            runs = fault_runs(predictors, MATRIX_FAULTS, seeds, file, trial=given, jobs=jobs)
             for done, total, found in runs:
                 results = found
                 bar.update(task, completed=done, total=total)

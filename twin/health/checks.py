@@ -61,7 +61,7 @@ def _take_state(s, health, given):
 
 
 @kernel
-def check_sensors(dt, z, cmd, s, ready, current, health, given, out):
+def check_sensors(dt, z, cmd, s, ready, health, given, out):
     """Hold the sensors of a row against each other, and leave out those at fault.
 
     Parameters
@@ -74,10 +74,8 @@ def check_sensors(dt, z, cmd, s, ready, current, health, given, out):
         State that the predictor had after the row before.
     ready : bool
         Whether that means anything.
-    current : tuple of 3 floats
-        What its model says of the water; see :func:`twin.health.current.check_current`.
     health, given : record
-        ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
+        ``HEALTH``, advanced in place, whose ``current`` the caller writes; ``HEALTH_SETTINGS``.
     out : ndarray, shape (19,)
         The row without the samples of excluded sensors, with the heading of now and the true wind
         of an anemometer.
@@ -99,7 +97,7 @@ def check_sensors(dt, z, cmd, s, ready, current, health, given, out):
     fresh = unexplained and health.clock - command.since < CHANGED
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     note_absence(dt, ready, health)
-    check_current(current, health, given)
+    check_current(health, given)
     leave_out(health, out)
     turn_to_now(dt, out, new_compass, health, given)
     check_wind(dt, out, state, usable, health, given)

@@ -1,4 +1,4 @@
-"""Kernel that asks whether the current that a model believes in is one that water makes.
+"""Kernel that asks whether the current that a model estimates is one that water makes.
 
 A GPS that is drawn away looks like a current. Where that is too large, or changes too fast, the
 fixes are doubted.
@@ -36,20 +36,11 @@ SHOWN = 60.0
 
 
 @kernel
-def check_current(current, health, given):
-    """Look at the current if it is time, and doubt the GPS where it is not plausible.
-
-    Parameters
-    ----------
-    current : tuple of 3 floats
-        Velocity of the water to north and east, and its standard deviation, m/s; NaN where there
-        is no estimate.
-    health, given : record
-        ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
-    """
+def check_current(health, given):
+    """Look at the current if it is time, and doubt the GPS where it is not plausible."""
     if health.clock < health.current_due:
         return
-    north, east, sd = current
+    north, east, sd = health.current[0], health.current[1], health.current[2]
     health.current_due = max(health.clock + EVERY, FIRST)
     if not math.isfinite(sd) or health.clock < FIRST:
         return

@@ -41,9 +41,9 @@ _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
 )
 
-_NO_CURRENT = (math.nan, math.nan, math.nan)
+_CURRENT = slice(field_at(HEALTH, "current"), field_at(HEALTH, "current") + 3)
 
-_LATER = ("wind.", "turn", "current_", "velocity_repeated", "velocity_longest", "sensors.in_use")
+_LATER = ("wind.", "turn", "current", "velocity_repeated", "velocity_longest", "sensors.in_use")
 """Begin the names of fields that states saved by version 0.1 lack."""
 
 
@@ -59,10 +59,10 @@ class SensorStatus(NamedTuple):
 
 
 @kernel
-def _check(dt, z, cmd, s, ready, current, memory, settings, out):
+def _check(dt, z, cmd, s, ready, memory, settings, out):
     """Do :func:`check_sensors` on flat memory."""
     health, given = as_record(memory, HEALTH), as_record(settings, HEALTH_SETTINGS)
-    check_sensors(dt, z, cmd, s, ready, current, health, given, out)
+    check_sensors(dt, z, cmd, s, ready, health, given, out)
 
 
 def statuses_of(health: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
@@ -181,8 +181,9 @@ class SensorMonitor:
             command, or the last one that was trusted.
         """
         state = np.ascontiguousarray(state)
-        water = current or _NO_CURRENT
-        _check(dt, z, cmd, state, ready, water, self.memory, self._settings, self._out)
+        if current is not None:
+            self.memory[_CURRENT] = current
+        _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
         return self._out.copy(), self.trusted(cmd)
 
     def trusted(self, cmd: Array) -> Array:
@@ -238,7 +239,7 @@ _POSITIVE = Field(low=0.0)
 
 FIELDS = {
     **dict.fromkeys(("last", "fix", "velocity", "course", "course_compass"), Field(nan=True)),
-    "current_past": Field(nan=True),
+    **dict.fromkeys(("current", "current_past"), Field(nan=True)),
     # indices of names
     "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),

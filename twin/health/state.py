@@ -204,7 +204,8 @@ HEALTH = np.dtype(
         ("velocity_level", "f8"),  # its typical size, m/s
         ("velocity_repeated", "f8"),  # how long the velocity has repeated itself, s
         ("velocity_longest", "f8"),  # longest repetition while it was right, s
-        # current of the model
+        # velocity of the water by the model, and whether it is plausible
+        ("current", "f8", 3),  # north, east, standard deviation, m/s; NaN where there is none
         ("current_due", "f8"),  # time at which it is looked at again, s
         ("current_past", "f8", (CURRENT_LOOKS, 3)),  # north, east and sd then, m/s; NaN for none
         ("current_doubted", "f8"),  # time until which a change makes the GPS doubtful, s
@@ -318,6 +319,6 @@ def initial_health() -> Array:
     memory = np.zeros(HEALTH.itemsize // 8)
     health = memory.view(HEALTH)[0]
     health["sensors"]["status"] = ABSENT
-    for name in ("last", "course", "fix", "velocity", "current_past"):
+    for name in ("last", "course", "fix", "velocity", "current", "current_past"):
         health[name] = math.nan
     return memory

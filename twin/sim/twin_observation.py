@@ -19,10 +19,11 @@ from twin.identification.joint_ukf import (
     forecast_covariance,
     forecast_mean,
     limit_covariances,
+    write_current,
 )
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
-from twin.model.structure import CURRENT, N_STATES, ModelTerms
+from twin.model.structure import N_STATES, ModelTerms
 from twin.motion.deck_motion import (
     MOTION,
     MOTION_SETTINGS,
@@ -274,25 +275,13 @@ def take_row(boat, note):
 
 
 @inlined
-def _current_of(filtered, model):
-    """Return what ``UKFPredictor.current`` does; NaN where the model has no current."""
-    at = int(model.hull[CURRENT])
-    if at < 0:
-        return math.nan, math.nan, math.nan
-    at += N_STATES
-    variance = max(filtered.P[at, at], filtered.P[at + 1, at + 1])
-    return filtered.x[at], filtered.x[at + 1], math.sqrt(variance)
-
-
-@inlined
 def _check_row(dt, boat, note, nav, filtered, model, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
     state = nav.n[:N_STATES]
-    current = _current_of(filtered, model) if ready else (math.nan, math.nan, math.nan)
-    check_sensors(
-        dt, note.z[:], boat.command[:], state, ready, current, health, given, note.used[:]
-    )
+    if ready:
+        write_current(filtered, model, health.current)
+    check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = 1.0 if is_motion_doubted(health) else 0.0
     for k in range(N_ACT):

@@ -157,7 +157,7 @@ def test_current_that_changes_fast_makes_the_gps_doubtful_for_a_minute():
     assert found[-1].status == "ok"
 
 
-def test_doubt_of_a_current_is_noted_and_saved(log, tmp_path):
+def test_doubtful_current_is_noted_and_saved(log, tmp_path):
     twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
     twin.run(log.slice(0.0, 30.0))
     at = twin.predictor.parameter_names.index("C_north")
