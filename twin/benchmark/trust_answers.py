@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,24 +83,31 @@ class Answer:
     numbers: dict[str, Any] = field(default_factory=dict)
 
 
+class _Stretch(NamedTuple):
+    """How long a sensor was doubtful or excluded, s, and the last reason."""
+
+    seconds: float
+    why: str
+
+
 class HealthCount:
     """How long a twin left sensors out, or doubted them."""
 
     def __init__(self) -> None:
         self.seconds = 0.0  # of all rows, s
-        self.found: dict[tuple[str, str], tuple[float, str]] = {}  # time (s) and last reason
+        self.found: dict[tuple[str, str], _Stretch] = {}  # by sensor and status
 
     def take(self, step: float, statuses: Mapping[str, SensorStatus]) -> None:
         """Count a row that came ``step`` seconds after the one before."""
         self.seconds += step
         for sensor, now in statuses.items():
             if now.status in ("doubtful", "excluded"):
-                before = self.found.get((sensor, now.status), (0.0, ""))[0]
-                self.found[sensor, now.status] = before + step, now.why
+                before = self.found.get((sensor, now.status), _NEVER).seconds
+                self.found[sensor, now.status] = _Stretch(before + step, now.why)
 
     def share(self, sensor: str, status: str) -> float:
         """Return the share of the rows in which a sensor had a status."""
-        return self.found.get((sensor, status), (0.0, ""))[0] / max(self.seconds, 1e-9)
+        return self.found.get((sensor, status), _NEVER).seconds / max(self.seconds, 1e-9)
 
     def colour(self, sensor: str, status: str) -> str:
         """Return the colour of that."""
@@ -114,15 +121,16 @@ class HealthCount:
     def lines(self) -> list[tuple[str, str]]:
         """Return colour and words for each sensor and status, the worst first."""
         said = []
-        for (sensor, status), (seconds, why) in self.found.items():
+        for (sensor, status), stretch in self.found.items():
             share = self.share(sensor, status)
-            reason = why.removeprefix(f"{sensor} ")
-            text = f"{sensor} {status} for {seconds:.0f} s, {share:.0%} of the run" + (
-                f" ({reason})" if reason else ""
-            )
-            said.append((self.colour(sensor, status), -share, text))
-        said.sort(key=lambda item: (-COLOURS.index(item[0]), item[1]))
-        return [(colour, text) for colour, _, text in said]
+            text = f"{sensor} {status} for {stretch.seconds:.0f} s, {share:.0%} of the run"
+            reason = stretch.why.removeprefix(f"{sensor} ")
+            said.append((self.colour(sensor, status), share, f"{text} ({reason})"))
+        said.sort(key=lambda item: (COLOURS.index(item[0]), item[1]), reverse=True)
+        return [(item[0], item[2]) for item in said]
+
+
+_NEVER = _Stretch(0.0, "")
 
 
 def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None) -> Answer:
@@ -139,16 +147,17 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
     numbers = {
         "findings": {f.code: f.severity for f in doubted},
-        "health_s": {f"{sensor} {what}": s for (sensor, what), (s, _) in health.found.items()},
+        "health_s": {" ".join(key): stretch.seconds for key, stretch in health.found.items()},
     }
     colours = [RED if f.severity == ERROR else AMBER for f in doubted]
-    parts = [text for colour, text in health.lines() if colour != GREEN]
-    colours += [colour for colour, _ in health.lines()]
+    lines = health.lines()
+    parts = [text for colour, text in lines if colour != GREEN]
+    colours += [line[0] for line in lines]
     if doubted:
         shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
         parts.append(f"{shown}; see: usv-twin log check")
     if not parts:
-        briefly = "; ".join(text for _, text in health.lines()[:2])
+        briefly = "; ".join(line[1] for line in lines[:2])
         return Answer("sensors", GREEN, briefly or "none in doubt", numbers)
     colour = max(colours, key=COLOURS.index)
     return Answer("sensors", colour, "; ".join(parts), numbers)

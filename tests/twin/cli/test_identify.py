@@ -35,7 +35,7 @@ def test_identify_of_several_runs_ends_with_five_answers(folder, second, tmp_pat
     assert "no model" in run("identify", log, second, "-p", "persistence").stdout
 
 
-def test_identify_and_judge_say_the_same(folder):
+def test_identify_ends_as_a_verdict_does(folder):
     verdicts = []
     for command in (("judge", "--no-picture"), ("identify",)):
         out = run(command[0], folder / "run.csv", *command[1:]).stdout

@@ -266,8 +266,8 @@ def _to_keep(
         else:
             kept.append(twin)
     if not kept:
-        for _, verdict in runs:
-            print_verdict(verdict)
+        for run in runs:
+            print_verdict(run[1])
         raise LogError(
             f"{path}: not written, as no run is without a fault of sensors or commands; mend the "
             "logs, or keep them with --with-faulty"
