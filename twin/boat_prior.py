@@ -61,8 +61,14 @@ the weight of so many runs."""
 LENGTH_SAME, SHAFT_SAME = 0.05, 0.01
 """Relative differences within which lengths and speeds per shaft speed are those of one boat."""
 
+BEAM_SAME, MASS_SAME = 0.1, 0.3
+"""The same for the beam, and for the mass, which changes with the load."""
+
 LEAST, MOST = 1e-6, 1e6
-"""Within which lengths (m), speeds (m/s) and shaft speeds (rev/s) of boats lie."""
+"""Within which lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats lie."""
+
+LATER = ("beam", "mass")
+"""Fields that files of before have not: they are then not compared."""
 
 NARROWEST = 1e-8
 """Smallest variance in units of the population's: below it is rounding."""
@@ -92,6 +98,8 @@ class BoatPrior:
         Names of the p parameters.
     mean, covariance : tuple
         Of the parameters, in SI units: p numbers, and p rows of p numbers.
+    beam, mass : float
+        As in the particulars: m, kg; 0 where the file does not say it.
     """
 
     boat: str
@@ -104,15 +112,18 @@ class BoatPrior:
     parameters: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+    beam: float = 0.0
+    mass: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("boat", "model", "steering"):
             if not isinstance(getattr(self, name), str):
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
-        for name in ("length", "speed", "shaft_speed"):
+        for name in ("length", "speed", "shaft_speed", *LATER):
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not (number and LEAST <= value <= MOST):
+            unknown = name in LATER and number and value == 0.0
+            if not unknown and not (number and LEAST <= value <= MOST):
                 raise BoatPriorError(
                     f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
                 )
@@ -143,7 +154,7 @@ class BoatPrior:
         object.__setattr__(self, "parameters", tuple(names))
         object.__setattr__(self, "mean", tuple(mean.tolist()))
         object.__setattr__(self, "covariance", tuple(tuple(row) for row in cov.tolist()))
-        for name in ("length", "speed", "shaft_speed"):
+        for name in ("length", "speed", "shaft_speed", *LATER):
             object.__setattr__(self, name, float(getattr(self, name)))
 
     @classmethod
@@ -152,8 +163,8 @@ class BoatPrior:
         if not isinstance(table, dict):
             raise BoatPriorError("a prior is a file or a table of keys and values")
         wanted = {item.name for item in dataclasses.fields(cls)}
-        if set(table) != wanted:
-            odd = sorted(set(table) ^ wanted)
+        if set(table) | set(LATER) != wanted:
+            odd = sorted((set(table) | set(LATER)) ^ wanted)
             raise BoatPriorError(f"key(s) missing or unknown: {', '.join(odd)}")
         return cls(**table)
 
@@ -197,8 +208,20 @@ class BoatPrior:
         head = "# What earlier runs say of a boat's parameters: mean and covariance, SI units."
         return f"{head}\nformat = {json.dumps(FORMAT)}\n{self.to_toml()}"
 
-    def check_boat(self, *, length: float, speed: float, shaft_speed: float, steering: str) -> None:
-        """Refuse a boat that the prior was not made for; BoatPriorError says what differs."""
+    def check_boat(
+        self,
+        *,
+        length: float,
+        speed: float,
+        shaft_speed: float,
+        steering: str,
+        beam: float = 0.0,
+        mass: float = 0.0,
+    ) -> None:
+        """Refuse a boat that the prior was not made for; BoatPriorError says what differs.
+
+        A beam or mass of 0 is unknown, and not compared.
+        """
         if steering != self.steering:
             raise BoatPriorError(
                 f"the prior of {self.boat!r} is of a boat with steering = {self.steering!r}, not "
@@ -209,8 +232,17 @@ class BoatPrior:
                 f"the prior of {self.boat!r} is of a boat of {self.length:g} m, not {length:g} m: "
                 "correct length, or leave the prior out"
             )
-        now, then = speed / shaft_speed, self.speed / self.shaft_speed
-        if abs(now / then - 1.0) > SHAFT_SAME:
+        sizes = (
+            ("beam", beam, self.beam, BEAM_SAME, "m"),
+            ("mass", mass, self.mass, MASS_SAME, "kg"),
+        )
+        for name, now, then, same, unit in sizes:
+            if now and then and abs(now / then - 1.0) > same:
+                raise BoatPriorError(
+                    f"the prior of {self.boat!r} is of a boat with {name} = {then:g} {unit}, not "
+                    f"{now:g}: correct {name}, or leave the prior out"
+                )
+        if abs(speed / shaft_speed * self.shaft_speed / self.speed - 1.0) > SHAFT_SAME:
             raise BoatPriorError(
                 f"the prior of {self.boat!r} was made with speed = {self.speed:g} and shaft_speed "
                 f"= {self.shaft_speed:g}, whose ratio is the unit of its thrust: keep the ratio, "

@@ -54,6 +54,9 @@ ANGLE_SD_MAX = 1.0
 OFF_BOAT, OFF_BOAT_MIN = 2.0, 10.0
 """Nothing on board is farther from the origin than so many lengths, and so many m at least."""
 
+NARROW = 0.6
+"""Two hulls that are narrower together than so much of the stated beam contradict it."""
+
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
 ``differential``: the units are fixed and steer by unequal thrust."""
@@ -286,9 +289,10 @@ class Particulars:
         The boat's class, one of :data:`DESIGNS`, or empty. The prior of a class tells
         ``dsw-ukf-plus`` more than main particulars do: see :mod:`twin.model.priors`.
     hulls : int
-        1, or 2 of a catamaran.
+        1, or 2 of a catamaran. Two hulls are no tanker; nothing else in the twin depends on it.
     hull_beam, spacing : float
         Of a catamaran, m: beam of each hull, and distance of their centre lines; 0 where unknown.
+        They are checked against beam and mass, and change no result: no prior knows them.
     instruments : Instruments
         Sensors on board.
     deck : Deck
@@ -364,6 +368,8 @@ class Particulars:
                 speed=self.speed,
                 shaft_speed=self.shaft_speed,
                 steering=self.steering,
+                beam=self.beam,
+                mass=self.mass,
             )
         except BoatPriorError as error:
             raise ParticularsError(f"prior: {error}") from None
@@ -393,6 +399,12 @@ class Particulars:
             raise ParticularsError(
                 f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls must not "
                 f"overlap, and must lie within the beam of {self.beam:g} m"
+            )
+        if self.hull_beam and self.spacing and wide < NARROW * self.beam:
+            raise ParticularsError(
+                f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls are "
+                f"{wide:g} m wide together, and the beam over both is {self.beam:g} m; spacing is "
+                "from centre line to centre line; correct one of them"
             )
         box = SEA_WATER * self.length * self.draft * 2.0 * self.hull_beam
         if 0.0 < box < self.mass:

@@ -281,6 +281,7 @@ def test_catamarans_are_checked_and_survive_their_file(tmp_path):
         ({"hulls": 1}, "add hulls = 2"),
         ({"spacing": 2.3}, "within the beam of 2.5"),
         ({"spacing": 0.4}, "must not overlap"),
+        ({"spacing": 0.6}, "hulls are 1.1 m wide together, and the beam over both is 2.5"),
         ({"hull_beam": -0.5}, "hull_beam = -0.5 must be 0 or more"),
         ({"mass": 4000.0}, "mass = 4000 kg is more than two hulls"),
     ):

@@ -10,7 +10,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,17 +18,34 @@ from numpy.typing import NDArray
 
 from twin.benchmark.protocol import BenchmarkError
 from twin.benchmark.scores import Reference, score
+from twin.benchmark.trust_answers import (
+    AMBER,
+    COLOURS,
+    DOUBTFUL_AMBER,
+    EXCLUDED_AMBER,
+    EXCLUDED_RED,
+    FAR,
+    FAR_AMBER,
+    GREEN,
+    RED,
+    SPEED_LEAST,
+    SPEED_MOST,
+    Answer,
+    HealthCount,
+    other_boat,
+    parameter_answer,
+    sensor_answer,
+)
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigation_ekf import Navigator
-from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
+from twin.logs.diagnosis.findings import Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.baselines import hold_velocity
-from twin.predictors.ukf import UKFPredictor
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -46,10 +63,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-GREEN, AMBER, RED = "green", "amber", "red"
-
-COLOURS = (GREEN, AMBER, RED)
 
 HORIZON = 10.0
 """Of the forecasts that are scored, s."""
@@ -72,9 +85,6 @@ STEADY = 2.0
 BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
 """Seconds without GPS from which on they are green or amber."""
 
-FAR, FAR_AMBER = 4.0, 4
-"""Prior standard deviations beyond which a parameter is far, and how many such are amber."""
-
 SURE_BEFORE, SURE_AFTER = 1.5, 2.0
 """Standard deviations by which a sign was known before and after, where it is said to be other."""
 
@@ -96,14 +106,11 @@ BOUND_MIN, BOUND_NOISE = 5.0, 5.0
 """The bound of the position error without GPS is at least this (m, standard deviations of a fix),
 or the boat's length if that is more."""
 
-LOSS_SPAN = 60.0
-"""Longest loss of GPS that is tried, s."""
+LOSSES, LOSS_SPAN = 8, 60.0
+"""Losses of GPS that are tried, and the longest, s."""
 
 EVERY = 2.0
-"""Time between forecasts, s; those of roll and pitch are as often in a light meter."""
-
-LIGHT_ROWS, LIGHT_LOG = 500, 4000
-"""Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
+"""Time between forecasts, s."""
 
 SCORED_MIN = 60.0
 """Forecasts over less time than this, s, say too little: they are never red."""
@@ -116,12 +123,16 @@ RULES = (
     f"noise of the sensors, or {STEADY:g} times it where persistence is; at least "
     f"{COVERAGE_GREEN:.0%} inside the claimed 90 %, less what a short log shows by chance; at "
     f"least {BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, "
-    "and no effect of a command of the other sign; no finding of the log check; where the log has "
+    "no effect of a command of the other sign, steering as the particulars say, and a speed "
+    f"straight ahead of {SPEED_LEAST:g} to {SPEED_MOST:g} times what they say; no finding of "
+    f"the log check, no sensor excluded for {EXCLUDED_AMBER:.0%} or doubtful for "
+    f"{DOUBTFUL_AMBER:.0%} of the run; where the log has "
     f"roll and pitch, their error after {TILT_HORIZON:g} s and coverage by the same limits. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
     f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
     "green; warnings; or what the log is too short to tell "
-    f"(forecasts over less than {SCORED_MIN:g} s). "
+    f"(forecasts over less than {SCORED_MIN:g} s). Commands, GPS or compass excluded for "
+    f"{EXCLUDED_RED:.0%} of the run are red. "
     "Red: anything else. The worst answer counts."
 )
 """The rules of the colours, for a help page."""
@@ -145,16 +156,6 @@ class GpsLoss(NamedTuple):
     error: Array  # (k,) error of the displacement then, m
 
 
-@dataclass(frozen=True)
-class Answer:
-    """One of the lines."""
-
-    about: str
-    colour: str  # one of COLOURS
-    text: str
-    numbers: dict[str, Any] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """The answers, and what they were made from."""
@@ -174,6 +175,15 @@ class Verdict:
         """The worst of the answers' colours."""
         return max((answer.colour for answer in self.answers), key=COLOURS.index)
 
+    @property
+    def fault(self) -> str:
+        """Why sensors or commands are at fault, so that parameters learned the fault; or empty."""
+        for answer in self.answers:
+            turned = answer.about == "parameters" and answer.numbers.get("sign")
+            if answer.colour == RED and (answer.about == "sensors" or turned):
+                return answer.text.removesuffix("; see: usv-twin log check")
+        return ""
+
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as plain data."""
         return {
@@ -191,7 +201,7 @@ class Verdict:
 
 
 def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
-    """Return one verdict on several runs of a boat: of each answer, that of the worst run.
+    """Return one verdict on several runs of a boat: of each answer, one of the worst colour.
 
     Parameters
     ----------
@@ -203,7 +213,9 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
         found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
         log, worst = max(found, key=lambda pair: COLOURS.index(pair[1].colour))
         same = sum(pair[1].colour == worst.colour for pair in found)
-        more = f" [{log}; {same} of {len(found)} runs are {worst.colour}]"
+        count = f"{same} of {len(found)}" if same < len(found) else f"all {len(found)}"
+        runs = f"; {count} runs {worst.colour}" if len(found) > 1 else ""
+        more = f" [of {log}{runs}]" if len(verdicts) > 1 else ""
         answers.append(dataclasses.replace(worst, text=worst.text + more))
     deviations: dict[str, float] = {}
     for name, size in (pair for each in verdicts for pair in each.deviations):
@@ -233,23 +245,15 @@ class TrustMeter:
         Before the first row of the log.
     log : Log
         Without truth.
-    light : bool
-        Fewer forecasts and one or two short losses, for little more time than the rows take.
     """
 
-    def __init__(self, twin: Twin, log: Log, *, light: bool = False) -> None:
-        every, losses, share = EVERY, 8, 4.0
-        if light:
-            # a forecast takes as long as some 50 rows, a copy as 200
-            count = max(len(log) // LIGHT_ROWS, 6)
-            every = max(every, 0.6 * float(log.t[-1] - log.t[0]) / count)
-            losses, share = (1, 0.15) if len(log) < LIGHT_LOG else (2, 0.12)
-        self.twin, self.log, self.every = twin, log, every
+    def __init__(self, twin: Twin, log: Log) -> None:
+        self.twin, self.log = twin, log
         self.particulars = twin.particulars
         self.bound = position_bound(self.particulars)
         self.prior = twin.estimate()  # parameters before the first row
-        own = isinstance(twin.predictor, UKFPredictor) and light
-        self._navigator = None if own else Navigator(self.particulars)
+        self._navigator = Navigator(self.particulars)
+        self._health = HealthCount()
         try:
             self._reference: Reference | None = Reference(log)
         except BenchmarkError:
@@ -259,8 +263,8 @@ class TrustMeter:
         self._next = first + min(60.0, 0.4 * span)
         self._next_tilt = self._next
         self._end = last - HORIZON
-        length = min(LOSS_SPAN, 0.4 * span, share * span / max(losses, 1))
-        starts = np.linspace(max(self._next, first + 0.5 * span), last - length, losses)
+        length = min(LOSS_SPAN, 0.4 * span)
+        starts = np.linspace(max(self._next, first + 0.5 * span), last - length, LOSSES)
         self._loss_length = length
         self._loss_starts = starts.tolist() if length >= LOSS_MIN else []
         self._row = 0
@@ -274,8 +278,8 @@ class TrustMeter:
         self._row += 1
         t = float(log.t[row])
         step = t - float(log.t[row - 1]) if row else 0.0
-        if self._navigator is not None:
-            self._navigator.update(step, log.z[row])
+        self._navigator.update(step, log.z[row])
+        self._health.take(step, self.twin.health_history.at(t))
         self._tilt.take(t)
         if self._reference is None:
             return
@@ -285,7 +289,7 @@ class TrustMeter:
             self._note_tilt(row)
         if t >= self._next - 1e-9 and t <= self._end + 1e-9:
             while self._next <= t + 1e-9:
-                self._next += self.every
+                self._next += EVERY
             self._score(row, t)
         if self._loss_starts and t >= self._loss_starts[0] - 1e-9:
             del self._loss_starts[0]
@@ -317,9 +321,7 @@ class TrustMeter:
         own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
         error = float(own.displacement[0]), abs(float(own.error[0, -1]))
         covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
-        # a light meter has no navigation of its own
-        navigator = self._navigator
-        state = self.twin.predictor.n[:6] if navigator is None else navigator.state  # type: ignore[attr-defined]
+        state = self._navigator.state
         held = hold_velocity(state, state[3:], np.array([HORIZON]))[0]
         moved = held[:2] - state[:2] - (truth[1, :2] - truth[0, :2])
         persistence = float(np.hypot(*moved)), abs(wrap(float(held[2] - truth[1, 2])))
@@ -364,13 +366,14 @@ class TrustMeter:
         """
         deviations, drag = self._deviations()
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
-        parameters = _parameter_answer(deviations, self._reversed(), drag)
+        other = other_boat(self.log, self.particulars)
+        parameters = parameter_answer(deviations, self._reversed(), drag, other)
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
         elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
             # the prior may be too narrow for a boat that its twin predicts well
             parameters = dataclasses.replace(parameters, colour=AMBER)
-        answers: tuple[Answer, ...] = (*scores, parameters, _sensor_answer(findings))
+        answers: tuple[Answer, ...] = (*scores, parameters, sensor_answer(findings, self._health))
         if self.twin.motion.active:
             answers = (*answers, self._tilt_answer())
         return Verdict(
@@ -548,45 +551,3 @@ def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
     low[:, 2] = prediction.mean[:, 2] - np.sqrt(down**2 + more)
     high[:, 2] = prediction.mean[:, 2] + np.sqrt(up**2 + more)
     return dataclasses.replace(prediction, cov=cov, low=low, high=high)
-
-
-def _parameter_answer(
-    deviations: Sequence[tuple[str, float]], other: Sequence[str], drag: float = 1.0
-) -> Answer:
-    """Return what parameters far from the prior, or of the other sign, say.
-
-    ``drag`` is the factor by which a rough prior was scaled.
-    """
-    if not deviations:
-        return Answer("parameters", GREEN, "the predictor has none", {"far": {}, "sign": []})
-    far = [(name, size) for name, size in deviations if size > FAR]
-    numbers = {"far": dict(far), "sign": list(other), "count": len(deviations), "drag": drag}
-    if not far and not other:
-        name, size = deviations[0]
-        text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
-        if not 0.5 < drag < 2.0:
-            text += f" (of a boat with {drag:.2g} times the drag of the rough prior)"
-        return Answer("parameters", GREEN, text, numbers)
-    parts = []
-    if far:
-        shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
-        more = ", ..." if len(far) > 4 else ""
-        parts.append(
-            f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: "
-            f"{shown}{more}; wrong boat, steering or units?"
-        )
-    if other:
-        parts.append(f"other sign: {', '.join(other[:4])}; wrong sides or signs of commands?")
-    colour = AMBER if len(far) <= FAR_AMBER else RED
-    return Answer("parameters", colour, " ".join(parts), numbers)
-
-
-def _sensor_answer(findings: Sequence[Finding]) -> Answer:
-    """Return which sensors and commands the log check doubts."""
-    doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
-    numbers = {"findings": {f.code: f.severity for f in doubted}}
-    if not doubted:
-        return Answer("sensors", GREEN, "none in doubt", numbers)
-    shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
-    colour = RED if any(f.severity == ERROR for f in doubted) else AMBER
-    return Answer("sensors", colour, f"{shown}; see: usv-twin log check", numbers)

@@ -183,6 +183,7 @@ def assess(
     prior_sd = np.sqrt(np.diag(before))
     total = np.zeros_like(before)
     found = []
+    earlier: set[int] = set()
     for (name, block), lower, noise in zip(
         submodels, gram_matrices, np.asarray(q, dtype=np.float64), strict=True
     ):
@@ -190,6 +191,10 @@ def assess(
         triangle = np.tril(lower)
         gram = (triangle + np.tril(triangle, -1).T) / noise
         total[np.ix_(columns, columns)] += gram
+        # blocks are ranges: a parameter of an earlier equation may lie in one without a part in it
+        part = (np.diag(gram) > 0.0) | np.array([i not in earlier for i in columns], dtype=np.bool_)
+        earlier |= set(columns.tolist())
+        columns, gram = columns[part], gram[np.ix_(part, part)]
         scale = prior_sd[columns]
         A = gram * scale * scale[:, None]
         rank, condition = _spectrum(A)

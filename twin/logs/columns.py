@@ -39,7 +39,7 @@ SHARE = "share of full throttle"
 _DEGREE = math.pi / 180.0
 
 UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86400.0},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048},
     "mps": {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6, "ftps": 0.3048},
     "mps2": {"mps2": 1.0, "g": 9.80665},
@@ -76,6 +76,8 @@ class Entry:
     note: str = ""  # for the user
     clock: bool = False  # whether the source is a date and time, not a number
     format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
+    date: str = ""  # column of the date, where the source is a time of day
+    zone: float = 0.0  # by which its clock is ahead of UTC, s
     # takes what convert takes, returns the plane on which it puts positions, if any
     plane: Callable[[Sequence[Array]], Plane | None] | None = None
 

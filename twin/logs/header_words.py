@@ -11,6 +11,7 @@ __all__ = [
     "SHAFT",
     "STEER",
     "is_command",
+    "is_side",
     "means",
     "sides_of",
     "unit_of",
@@ -105,6 +106,13 @@ def is_command(name: str, pattern: str) -> bool:
     """Return whether a name is that of a command: a word of a pattern, with or without a side."""
     side = rf"({'|'.join(SIDES.values())}|\d)?"
     return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
+
+
+def is_side(name: str) -> bool:
+    """Return whether a name is the word of a side, and nothing else but a unit."""
+    words = words_of(name)
+    whole = r"left|port|right|starboard|stbd"
+    return bool(words) and bool(re.fullmatch(whole, words[0])) and len(words) <= 2
 
 
 def sides_of(names: Sequence[str]) -> tuple[str, str] | None:

@@ -5,6 +5,8 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     [columns]                                       # log column = column of the file
     t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times,
                                                     # format = "%d/%m/%Y %I:%M:%S %p" unless ISO
+                                                    # from = ["date", "time"] of two columns;
+                                                    # zone = "+02:00" of a clock not in UTC
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
     wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
@@ -55,6 +57,7 @@ from __future__ import annotations
 import difflib
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
@@ -244,9 +247,16 @@ class _Parser:
         if isinstance(given, int | float) and name != TIME:
             value = self.number(name, given)
             return Entry(names, (), lambda _: [np.array(value)] * len(names))
-        unit = name.rpartition("_")[2]
+        unit, date = name.rpartition("_")[2], ""
+        if name == TIME and isinstance(given, Mapping) and isinstance(given.get("from"), list):
+            parts = given["from"]
+            if len(parts) != 2 or not all(isinstance(part, str) for part in parts):
+                raise self.fail(name, 'from must be a column, or two: ["date", "time"]')
+            if given.get("unit") != "datetime":
+                raise self.fail(name, 'two columns need unit = "datetime"')
+            date, given = parts[0], {**given, "from": parts[1]}
         topic, source, factor, offset, table = self.source_of(
-            name, given, unit, ("frame", "format")
+            name, given, unit, ("frame", "format", "zone")
         )
         if name == TIME and topic:
             raise self.fail(name, "a message has its own time; choose it with stamp = ...")
@@ -256,6 +266,7 @@ class _Parser:
         form = self.text(name, table, "format", "")
         if form and not clock:
             raise self.fail(name, 'format is for unit = "datetime"')
+        zone = self.zone(name, self.text(name, table, "zone", ""), clock and "z" not in form)
         frame = table.get("frame", "ned")
         if frame != "ned":
             if frame != "enu" or name not in _ENU:
@@ -270,13 +281,26 @@ class _Parser:
         both = ", ".join(names) + (" (one for both sides)" if len(names) > 1 else "")
         return Entry(
             names,
-            (source,),
-            _linear(factor, offset, len(names)),
+            (source, date) if date else (source,),
+            _first(factor, offset) if date else _linear(factor, offset, len(names)),
             topic,
-            f"{both}: from {what}" + _conversion(factor, offset),
+            f"{both}: from {f'{date} and ' if date else ''}{what}" + _conversion(factor, offset),
             clock,
             form,
+            date,
+            zone,
         )
+
+    def zone(self, name: str, text: str, allowed: bool) -> float:
+        """Return by how much a clock is ahead of UTC, s."""
+        if not text:
+            return 0.0
+        if not allowed:
+            raise self.fail(name, "zone is for dates that have none of their own")
+        found = re.fullmatch(r"([+-])(\d\d):?([0-5]\d)", text)
+        if found is None or int(found[2]) > 14:
+            raise self.fail(name, f'zone = {text!r} must be hours and minutes, such as "+02:00"')
+        return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3]))
 
     def position(self, given: Any) -> Entry:
         keys = ("topic", "latitude", "longitude", "scale", "datum")
@@ -398,6 +422,11 @@ def _linear(
     if factor == 1.0 and offset == 0.0:
         return None
     return lambda values: [values[0] * factor + offset] * count
+
+
+def _first(factor: float, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:
+    """Return the conversion of the first of several sources."""
+    return lambda values: [values[0] * factor + offset]
 
 
 @dataclass(frozen=True)

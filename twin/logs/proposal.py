@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.logs.columns import Array, LogError
-from twin.logs.dates import DateFormat, date_formats
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.columns import OTHER_UNITS, SINGLE, Array, LogError
+from twin.logs.dates import DateFormat
 from twin.logs.datum import radii
 from twin.logs.diagnosis.heading import gyro_on_compass
 from twin.logs.diagnosis.position import velocity_on_fixes
@@ -24,12 +25,14 @@ from twin.logs.header_words import (
     SHAFT,
     STEER,
     is_command,
+    is_side,
     means,
     sides_of,
     unit_of,
     words_of,
 )
-from twin.logs.readers import CsvFile, ParquetFile, dates, with_points
+from twin.logs.readers import CsvFile, ParquetFile, ragged_line, with_points
+from twin.logs.time_proposal import find_time
 
 if TYPE_CHECKING:
     import polars as pl
@@ -39,8 +42,8 @@ __all__ = [
     "propose",
 ]
 
-_ROWS = 200_000
-"""Rows that are looked at."""
+_ROWS, _LOOK = 200_000, 1000
+"""Rows that are looked at, and those whose cells are counted."""
 
 
 @dataclass
@@ -57,12 +60,15 @@ class Proposal:
         What the values leave open.
     choices : list of DateFormat
         Two formats, where day and month are open.
+    zone : str
+        The name of a zone, where it means several.
     """
 
     lines: dict[str, list[str]] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
     questions: list[str] = field(default_factory=list)
     choices: list[DateFormat] = field(default_factory=list)
+    zone: str = ""
 
     def text(self, source: str) -> str:
         """Return the text of the mapping file."""
@@ -90,7 +96,7 @@ class _Columns:
         return name
 
 
-def propose(path: str | Path, order: str = "") -> Proposal:
+def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
     """Return a mapping for the columns of a CSV or Parquet file.
 
     Parameters
@@ -99,11 +105,13 @@ def propose(path: str | Path, order: str = "") -> Proposal:
         The log.
     order : str
         ``day-first`` or ``month-first``, where dates leave it open.
+    zone : str
+        By how much the clock is ahead of UTC, as ``-05:00``, where its name leaves it open.
 
     Returns
     -------
     Proposal
-        With ``choices`` where the order is needed and not given.
+        With ``choices`` or ``zone`` where an answer is needed and not given.
 
     Raises
     ------
@@ -113,15 +121,17 @@ def propose(path: str | Path, order: str = "") -> Proposal:
     path = Path(path)
     columns = _read(path)
     found = Proposal()
-    t = _time(columns, found, order)
-    fix = _position(columns, found, t)
-    if not _velocity(columns, found, t, fix):
+    t = _time(columns, found, (order, zone))
+    own = _own_names(columns, found)
+    fix = own.position(t) if own.has("gps_x_m") else _position(columns, found, t)
+    if not own.has("gps_vx_mps") and not _velocity(columns, found, t, fix):
         _components(columns, found, t, fix)
-    heading = _heading(columns, found, t, fix)
-    _gyro(columns, found, t, heading)
+    heading = own.heading(t) if own.has("compass_rad") else _heading(columns, found, t, fix)
+    if not own.has("gyro_radps"):
+        _gyro(columns, found, t, heading)
     _motion(columns, found)
     _plain(columns, found)
-    _commands(columns, found)
+    _commands(columns, found, own)
     _pulses(columns, found)
     if columns.left:
         found.questions.append(f"left out: {', '.join(columns.left)}")
@@ -141,6 +151,10 @@ def _read(path: Path) -> _Columns:
             for _ in range(file.blank):
                 raw.readline()
             lines = [raw.readline() for _ in range(_ROWS)]
+        # a surplus comma would shift the cells: of "Fri, 05 Apr", or of seconds with a comma
+        ragged = ragged_line(b"".join(lines[1:_LOOK]), file.blank + 2, len(file.header), file.mark)
+        if ragged:
+            raise LogError(f"{path}: {ragged}, or put cells that hold a comma in quotes")
         try:
             frame = pl.read_csv(
                 io.BytesIO(b"".join(lines)),
@@ -189,74 +203,63 @@ def _add(found: Proposal, table: str, line: str) -> None:
     found.lines.setdefault(table, []).append(line)
 
 
-def _time(columns: _Columns, found: Proposal, order: str) -> Array | None:
+def _time(columns: _Columns, found: Proposal, answers: tuple[str, str]) -> Array | None:
     """Find the time, and return it in seconds."""
-    named = [name for name in columns.left if means(name, NAMES["time"])]
-    texts = [name for name in columns.left if name not in columns.numbers]
-    # named ones first; a date with a clock before a clock, and a date alone is no time
-    known = [(name, columns.text[name].drop_nulls().to_list()) for name in texts]
-    known = [(name, cells) for name, cells in known if any(":" in cell for cell in cells)]
-    known.sort(key=lambda pair: (len(pair[1][0].strip()) < 15, pair[0] not in named))
-    for name, cells in known:
-        formats = date_formats(cells)
-        if not formats:
-            continue
-        if len(formats) > 1:
-            chosen = [each for each in formats if each.order == order]
-            if not chosen:
-                found.choices = formats
-                found.questions.append(f"{name}: {cells[0]!r}: day first or month first?")
-            formats = chosen or formats
-        form = formats[0].format
-        if form and "%d" not in form and "%j" not in form:
-            why = "a time without a date: a log across midnight would go back"
-            found.questions.append(f"{name}: the log keeps no date; join date and time to keep it")
-        else:
-            why = "dates without a zone count as UTC" if not re.search(r"%#?z", form) else ""
-            why = "" if not form and re.search(r"(Z|[+-]\d\d:?\d\d)$", cells[0].strip()) else why
-        more = f"format = {json.dumps(form)}" if form else ""
-        _add(found, "columns", _entry("t_s", columns.take(name), "datetime", more, why))
-        seconds = dates(columns.text[name].str.strip_chars(), form)
-        return seconds.to_numpy().astype(np.float64, copy=False)
-    numbers = [name for name in columns.left if name in columns.numbers]
-    rising = [name for name in numbers if (np.diff(_known(columns.numbers[name])) >= 0.0).all()]
-    if not set(rising) & set(named):
-        rising = [name for name in rising[:1] if _is_clock(columns.numbers[name])]
-        found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
-    if not rising:
+    time = find_time(columns.text, columns.numbers, columns.left, answers)
+    found.questions += time.questions
+    found.choices, found.zone = time.choices, time.zone
+    if not time.names:
         found.missing.append("t_s")
         return None
-    name = min((name for name in rising if name in named), key=len, default=rising[0])
-    values = columns.numbers[name]
-    unit = unit_of(name, ("ms", "us", "ns")) or _time_unit(values)
-    scale = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
-    start = float(_known(values)[0]) * scale
-    more = f"offset = {-start!r}" if start > 1e6 else ""
-    why = "counted from the first row" if more else ""
-    _add(found, "columns", _entry("t_s", columns.take(name), unit, more, why))
-    return np.asarray(values * scale - (start if more else 0.0))
-
-
-def _is_clock(values: Array) -> bool:
-    """Return whether values of a column rise in each row, most by much the same."""
-    step = np.diff(_known(values))
-    if len(step) < 10 or (step <= 0.0).any():
-        return False
-    return bool(np.mean(np.abs(step / np.median(step) - 1.0) < 0.5) > 0.9)
-
-
-def _time_unit(values: Array) -> str:
-    """Return the unit of times without one in the name, from their size and step."""
-    known = _known(values)
-    step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    for unit, least, epoch in (("ns", 1e6, 1e17), ("us", 1e3, 1e14), ("ms", 5.0, 1e11)):
-        if known[-1] > epoch or (step >= least and unit != "ns"):
-            return unit
-    return ""
+    *date, clock = [columns.take(name) for name in time.names]
+    line = _entry("t_s", clock, time.unit, time.more, time.why)
+    if date:
+        two = f"from = [{json.dumps(date[0])}, {json.dumps(clock)}]"
+        line = line.replace(f"from = {json.dumps(clock, ensure_ascii=False)}", two)
+    _add(found, "columns", line)
+    return time.seconds
 
 
 def _known(values: Array) -> Array:
     return values[np.isfinite(values)]
+
+
+@dataclass
+class _Own:
+    """Columns that have the names of a log of this package, in SI units."""
+
+    values: dict[str, Array] = field(default_factory=dict)
+
+    def has(self, name: str) -> bool:
+        return name in self.values
+
+    def position(self, t: Array | None) -> tuple[Array, Array] | None:
+        if t is None or not self.has("gps_y_m"):
+            return None
+        return _clean(t, np.column_stack([self.values["gps_x_m"], self.values["gps_y_m"]]))
+
+    def heading(self, t: Array | None) -> tuple[Array, Array] | None:
+        return None if t is None else _clean(t, self.values["compass_rad"])
+
+
+_OTHER_NAMES = {"wind_true_mps": "wind_mps", "wind_true_from_rad": "wind_from_rad"}
+"""Names of recorded data sets."""
+
+
+def _own_names(columns: _Columns, found: Proposal) -> _Own:
+    """Take the columns that have the names of this package: as they are, or in degrees or rpm."""
+    own = _Own()
+    for name in [name for name in columns.left if name in columns.numbers]:
+        given = _OTHER_NAMES.get(name, name)
+        target, factor = OTHER_UNITS.get(given, (given, 1.0))
+        if target in (*COMMANDS, *SINGLE, *MEASUREMENTS) and not own.has(target):
+            unit = "" if target == given else given.rpartition("_")[2]
+            own.values[target] = factor * columns.numbers[name]
+            _add(found, "columns", _entry(target, columns.take(name), unit))
+    for one, other in (("gps_x_m", "gps_y_m"), ("gps_vx_mps", "gps_vy_mps")):
+        if own.has(one) != own.has(other):
+            found.missing.append(other if own.has(one) else one)
+    return own
 
 
 def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Array, Array] | None:
@@ -279,20 +282,19 @@ def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Arra
                 f"{latitude} reaches {most:.6g}: convert it to degrees before (NMEA has degrees "
                 "and minutes in one number)"
             )
+        elif _is_swapped(columns, t, lat, lon):
+            found.questions.append(
+                f"{latitude}, {longitude}: the course over ground goes with them only if latitude "
+                "and longitude are swapped, and they are taken so"
+            )
+            latitude, longitude, lat, lon = longitude, latitude, lon, lat
         rows = [
             f"{key} = {json.dumps(columns.take(name), ensure_ascii=False)}"
             for key, name in (("latitude", latitude), ("longitude", longitude))
         ]
         for row in rows:
             _add(found, "position", row)
-        first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
-        if t is None or not first.any() or most > 90.0:
-            return None
-        to_north, to_east = radii(float(lat[first][0]))
-        metres = np.column_stack(
-            [np.radians(lat - lat[first][0]) * to_north, np.radians(lon - lon[first][0]) * to_east]
-        )
-        return _clean(t, metres)
+        return None if t is None or most > 90.0 else _metres(t, lat, lon)
     for name in columns.left:
         if name not in columns.numbers and means(name, NAMES["latitude"]):
             cell = columns.text[name].drop_nulls().first()
@@ -306,6 +308,36 @@ def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Arra
     if t is None:
         return None
     return _clean(t, np.column_stack([columns.numbers[north], columns.numbers[east]]))
+
+
+def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
+    """Return times and metres north and east of the first fix, of degrees."""
+    first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
+    if not first.any():
+        return None
+    to_north, to_east = radii(float(lat[first][0]))
+    north = np.radians(lat - lat[first][0]) * to_north
+    return _clean(t, np.column_stack([north, np.radians(lon - lon[first][0]) * to_east]))
+
+
+def _is_swapped(columns: _Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+    """Return whether speed and course over ground say that latitude and longitude are swapped."""
+    speed, course = _pick(columns, "speed"), _pick(columns, "course")
+    if t is None or speed is None or course is None or speed == course:
+        return False
+    angle = columns.numbers[course]
+    angle = angle if _angle_unit(course, angle) == "rad" else np.radians(angle)
+    value = columns.numbers[speed]
+    velocity = _clean(t, np.column_stack([value * np.cos(angle), value * np.sin(angle)]))
+    coherence = []
+    for one, other in ((lat, lon), (lon, lat)):
+        if np.abs(_known(one)).max(initial=0.0) > 90.0:
+            return False
+        fix = _metres(t, one, other)
+        fit = None if fix is None else velocity_on_fixes(fix, velocity)
+        aligned = fit is not None and abs(fit.turned) < 0.3
+        coherence.append(fit.coherence if fit is not None and aligned else 0.0)
+    return coherence[1] > 0.9 and coherence[0] < 0.6
 
 
 def _clean(t: Array, values: Array) -> tuple[Array, Array]:
@@ -497,14 +529,22 @@ def _plain(columns: _Columns, found: Proposal) -> None:
             _add(found, "columns", line)
 
 
-def _commands(columns: _Columns, found: Proposal) -> None:
+def _commands(columns: _Columns, found: Proposal, own: _Own) -> None:
     """Find shaft speeds and steering angles, of one unit or two."""
     for pattern, single, pair, convert in (
         (SHAFT, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
         (STEER, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
     ):
+        if any(own.has(name) for name in (single, *pair)):
+            continue
         there = [n for n in columns.left if n in columns.numbers and is_command(n, pattern)]
         sides = sides_of(there)
+        if not there and pattern == SHAFT:
+            # plain "left" and "right"
+            bare = [n for n in columns.left if n in columns.numbers and is_side(n)]
+            sides = sides_of(bare)
+            if sides is not None:
+                found.questions.append(f"{sides[0]}, {sides[1]}: taken as the shafts")
         if sides is not None:
             for target, source in zip(pair, sides, strict=True):
                 _add(found, "columns", convert(target, source, columns))

@@ -16,13 +16,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array, Entry, LogError
+from twin.logs.dates import Clock, Midnight, past_midnight
 from twin.logs.datum import Plane
 from twin.logs.mapping import Layout
 
@@ -31,16 +32,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_ROWS",
-    "Clock",
     "CsvFile",
     "ParquetFile",
     "Table",
     "cannot_be_read",
     "date_of",
-    "dates",
     "gathered",
     "merged",
     "name_of",
+    "ragged_line",
     "said",
     "shorten",
     "thinned",
@@ -150,10 +150,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     """
     sources = list(dict.fromkeys(source for entry in entries for source in entry.sources))
     timed = next(entry for entry in entries if TIME in entry.names)
-    clock = Clock(timed.sources[0] if timed.clock else "", timed.format)
+    clock = Clock.of(timed)
     parts: list[dict[str, Array]] = []
     rows = read = void = 0
     epoch = math.nan
+    midnight = Midnight()
     for lines, raw, dated in file.blocks(sources, clock):
         # Blank lines (often the last) arrive as rows without any value.
         blank = np.all([np.isnan(values) for values in raw.values()], axis=0)
@@ -162,6 +163,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         read += len(data[_PLACE])
         for name in dated - set(timed.sources):
             raise LogError(f"{file.source}: column {name} holds dates, not numbers; convert it")
+        if dated and clock.undated:
+            data[timed.sources[0]] = past_midnight(data[timed.sources[0]], midnight)
         if dated and len(data[_PLACE]):
             epoch = float(data[timed.sources[0]][0]) if epoch != epoch else epoch
             data[timed.sources[0]] = data[timed.sources[0]] - epoch
@@ -180,6 +183,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     notes += said(layout, read, len(place))
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
+    if midnight.days:
+        notes.append("t_s: passes midnight without a date, and goes on")
     data = {}
     plane = None
     for entry in entries:
@@ -201,13 +206,6 @@ def _only(timed: Entry, data: Mapping[str, Array]) -> Array:
     return timed.columns([data[timed.sources[0]]])[TIME]
 
 
-class Clock(NamedTuple):
-    """The column that holds dates, if any, and their format; empty for ISO 8601."""
-
-    column: str
-    format: str = ""
-
-
 _Block = tuple[Array, dict[str, Array], set[str]]
 """Number of each row in the file, the columns, and which of them were dates."""
 
@@ -223,10 +221,15 @@ def _numbers(
     wrong: tuple[int, str] | None = None
     for name, kind in frame.schema.items():
         values = frame[name]
-        if kind == pl.String:
+        if name == clock.date:
+            columns[name] = np.full(frame.height, math.nan)  # read with the time of day
+            continue
+        if name == clock.column and clock.format and kind.is_numeric():
+            values = values.cast(pl.String)
+        if values.dtype == pl.String:
             text = values.str.strip_chars()
             values = (
-                dates(text, clock.format)
+                clock.seconds(frame)
                 if name == clock.column
                 else text.cast(pl.Float64, strict=False)
             )
@@ -254,31 +257,6 @@ def _numbers(
             f"not a {what}; correct it, or {remedy}"
         )
     return columns, dated
-
-
-def dates(text: pl.Series, form: str = "") -> pl.Series:
-    """Return dates as seconds since 1970, those without a zone as UTC; null for any other text.
-
-    Parameters
-    ----------
-    text : Series of str
-        Dates and times.
-    form : str
-        Their format in chrono's letters; empty for ISO 8601. One without a day counts from
-        midnight.
-    """
-    import polars as pl
-
-    if form and "%d" not in form and "%j" not in form:
-        text, form = "1970-01-01 " + text, f"%Y-%m-%d {form}"
-    try:
-        if form and not any(zone in form for zone in ("%z", "%:z", "%#z")):
-            date = text.str.to_datetime(form, time_unit="us", strict=False)
-        else:
-            date = text.str.to_datetime(form or None, time_unit="us", time_zone="UTC", strict=False)
-    except pl.exceptions.PolarsError:
-        return pl.Series([None] * len(text), dtype=pl.Float64)
-    return date.dt.epoch("us").cast(pl.Float64) * 1e-6
 
 
 class CsvFile:
@@ -353,7 +331,9 @@ class CsvFile:
 
         def read(numbers: bool) -> pl.DataFrame:
             kinds = [
-                pl.Float64 if numbers and j in wanted and name != clock.column else pl.String
+                pl.Float64
+                if numbers and j in wanted and name not in (clock.column, clock.date)
+                else pl.String
                 for j, name in enumerate(self.header)
             ]
             frame = pl.read_csv(
@@ -368,14 +348,15 @@ class CsvFile:
             return frame.rename(dict(zip(frame.columns, names, strict=True)))
 
         try:
-            return read(numbers=True)
+            frame = read(numbers=True)
+            return frame if self.mark == "," else with_points(frame)
         except pl.exceptions.PolarsError:
             pass  # spaces around numbers, or a cell that is no number: look at the text
         try:
             frame = read(numbers=False)
             return frame if self.mark == "," else with_points(frame)
         except pl.exceptions.PolarsError as error:
-            ragged = _ragged(text, first, len(self.header), self.mark)
+            ragged = ragged_line(text, first, len(self.header), self.mark)
             raise LogError(
                 f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
             ) from None
@@ -466,7 +447,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _ragged(text: bytes, first: int, width: int, mark: str) -> str | None:
+def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:
     """Return the complaint about the first line with more cells than the header has."""
     lines = io.TextIOWrapper(io.BytesIO(text), "utf-8", errors="replace", newline="")
     reader = csv.reader(lines, delimiter=mark)

@@ -6,7 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.boat_prior import ENVIRONMENT, BoatPrior, BoatPriorError, combine
+from twin.boat_prior import (
+    BEAM_SAME,
+    ENVIRONMENT,
+    MASS_SAME,
+    BoatPrior,
+    BoatPriorError,
+    combine,
+)
 from twin.model.priors import takes
 from twin.model.structure import N_STATES
 from twin.predictors.base import Predictor
@@ -53,6 +60,12 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
                     f"run {number} has {key} = {getattr(about, key)}, and the first "
                     f"{getattr(boat, key)}: a prior is of one boat; use the same particulars"
                 )
+        for key, same in (("beam", BEAM_SAME), ("mass", MASS_SAME)):
+            if abs(getattr(about, key) / getattr(boat, key) - 1.0) > same:
+                raise BoatPriorError(
+                    f"run {number} has {key} = {getattr(about, key)}, and the first "
+                    f"{getattr(boat, key)}: a prior is of one boat"
+                )
         if about.prior is not None:
             raise BoatPriorError(
                 f"run {number} began with the boat's own prior, and would count twice: identify "
@@ -78,6 +91,8 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
         parameters=tuple(names[i] for i in kept),
         mean=tuple(mean.tolist()),
         covariance=tuple(tuple(row) for row in cov.tolist()),
+        beam=boat.beam,
+        mass=boat.mass,
     )
 
 

@@ -20,6 +20,14 @@ from twin.benchmark.trust import (
     position_bound,
     worst_of,
 )
+from twin.benchmark.trust_answers import (
+    HealthCount,
+    other_boat,
+    parameter_answer,
+    sensor_answer,
+    speed_ratio,
+)
+from twin.health.monitor import SensorStatus
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.motion.tilt_meter import TiltScore
 from twin.predictors.ukf import UKFPredictor
@@ -48,11 +56,9 @@ def log() -> Log:
     return simulated(6)
 
 
-def verdict_of(
-    about: Particulars, log: Log, predictor: str = "ukf", light: bool = False
-) -> Verdict:
+def verdict_of(about: Particulars, log: Log, predictor: str = "ukf") -> Verdict:
     twin = Twin(about, predictor)
-    meter = TrustMeter(twin, log, light=light)
+    meter = TrustMeter(twin, log)
     twin.run(log, meter)
     return meter.verdict()
 
@@ -80,19 +86,11 @@ def test_good_twins_are_never_red_and_mostly_green(boat: Particulars) -> None:
 
 
 def test_scoring_changes_nothing_in_the_twin(boat: Particulars, log: Log) -> None:
-    for light in (False, True):
-        alone, watched = Twin(boat), Twin(boat)
-        alone.run(log)
-        watched.run(log, TrustMeter(watched, log, light=light))
-        np.testing.assert_array_equal(alone.estimate().params, watched.estimate().params)
-        np.testing.assert_array_equal(alone.estimate().state, watched.estimate().state)
-
-
-def test_light_scores_cost_few_forecasts_and_rows(boat: Particulars, log: Log) -> None:
-    light = verdict_of(boat, log, light=True)
-    assert 4 <= len(light.forecasts) <= 7
-    # rows of all losses together, of those of the log
-    assert sum(loss.after[-1] for loss in light.losses) <= 0.2 * (log.t[-1] - log.t[0])
+    alone, watched = Twin(boat), Twin(boat)
+    alone.run(log)
+    watched.run(log, TrustMeter(watched, log))
+    np.testing.assert_array_equal(alone.estimate().params, watched.estimate().params)
+    np.testing.assert_array_equal(alone.estimate().state, watched.estimate().state)
 
 
 def test_the_bound_is_length_or_five_metres_or_noise(boat: Particulars) -> None:
@@ -222,6 +220,44 @@ def test_findings_of_the_log_check_colour_the_sensors(boat: Particulars, log: Lo
         assert ("gyro-sign" in answer.text) == (severity != NOTE)
 
 
+def test_sensors_that_the_twin_left_out_colour_the_sensors(boat: Particulars, log: Log) -> None:
+    def colour(sensor: str, status: str, seconds: float) -> str:
+        health = HealthCount()
+        for k in range(100):
+            now = SensorStatus(status if k < seconds else "ok", 0.0, f"{sensor} why")
+            health.take(1.0, {sensor: now})
+        answer = sensor_answer((), health)
+        assert (f"{sensor} {status} for {seconds:.0f} s" in answer.text) and "why" in answer.text
+        return answer.colour
+
+    assert colour("commands", "excluded", 100.0) == RED
+    assert colour("commands", "excluded", 30.0) == AMBER
+    assert colour("gyro", "excluded", 100.0) == AMBER
+    assert colour("compass", "excluded", 3.0) == GREEN
+    assert colour("commands", "doubtful", 30.0) == AMBER
+    # pulse widths that nobody converted
+    cmd = log.cmd.copy()
+    cmd[:, :2] = 1500.0 + 20.0 * cmd[:, :2]
+    found = verdict_of(boat, dataclasses.replace(log, cmd=cmd))
+    assert found.answers[4].colour == RED and "commands excluded for" in found.answers[4].text
+    assert "commands excluded" in found.fault
+
+
+def test_boats_of_other_speed_or_steering_are_found(boat: Particulars, log: Log) -> None:
+    assert other_boat(log, boat) == []
+    assert speed_ratio(log, boat) == pytest.approx(1.0, abs=0.2)
+    for factor in (0.2, 3.0):
+        wrong = dataclasses.replace(boat, speed=factor * boat.speed)
+        (said,) = other_boat(log, wrong)
+        assert f"goes {speed_ratio(log, wrong):.2g} times as fast" in said
+        assert parameter_answer([("X_u", 1.0)], [], 1.0, [said]).colour == AMBER
+    cmd = log.cmd.copy()
+    cmd[:, 2:], cmd[:, 0] = 0.0, 0.5 * cmd[:, 0]
+    (said,) = other_boat(dataclasses.replace(log, cmd=cmd), boat)
+    assert "no angle moves" in said
+    assert speed_ratio(log.slice(0.0, 10.0), boat) is None
+
+
 def test_short_logs_cannot_tell(boat: Particulars, log: Log) -> None:
     found = verdict_of(boat, log.slice(0.0, 9.0))
     assert [answer.colour for answer in found.answers[:3]] == [AMBER] * 3
@@ -298,12 +334,6 @@ def rolling(rolling_boat: Particulars, rolling_log: Log) -> Verdict:
     return verdict_of(rolling_boat, rolling_log)
 
 
-def test_light_and_full_scores_say_the_same_of_roll_and_pitch(
-    rolling: Verdict, rolling_boat: Particulars, rolling_log: Log
-) -> None:
-    assert verdict_of(rolling_boat, rolling_log, light=True).answers[-1] == rolling.answers[-1]
-
-
 def test_few_bad_forecasts_of_roll_are_amber_and_many_are_red(
     rolling_boat: Particulars, rolling_log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,7 +341,7 @@ def test_few_bad_forecasts_of_roll_are_amber_and_many_are_red(
     twin = Twin(rolling_boat, "persistence")
     twin.run(rolling_log.slice(0.0, 1.0))
     for seconds, colour in ((6.0, AMBER), (59.0, AMBER), (61.0, RED)):
-        meter = TrustMeter(twin, rolling_log, light=True)
+        meter = TrustMeter(twin, rolling_log)
         score = TiltScore(9, seconds, bad, 0.5 * bad, 0.01 * bad, 0.2 * bad)
         monkeypatch.setattr(meter._tilt, "score", lambda score=score: score)
         answer = meter.verdict().answers[-1]
@@ -333,4 +363,5 @@ def test_the_worst_of_runs_with_and_without_roll_has_all_answers(
 ) -> None:
     found = worst_of([good, rolling])
     assert [answer.about for answer in found.answers] == [a.about for a in rolling.answers]
-    assert "1 of 1 runs" in found.answers[-1].text
+    assert f"[of {rolling.log}]" in found.answers[-1].text
+    assert "all 2 runs green]" in found.answers[0].text

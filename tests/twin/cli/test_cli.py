@@ -36,14 +36,6 @@ from usv_gym import Vessel
 USV75 = (resources.files("usv_gym.vessel") / "vessels" / "usv75.toml").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cli")
-    options = ("--duration", "40", "--seed", "3", "--faults", "gps5", "--fault-start", "20")
-    run("simulate", "zigzag", *options, "--out", path / "run.csv")
-    return path
-
-
 def test_simulate_writes_log_particulars_and_picture(folder):
     log = Log.read(folder / "run.csv")
     assert len(log) == 801
@@ -536,44 +528,3 @@ def test_identify_ends_with_five_answers_and_says_what_was_not_shown(folder):
     assert heads == ["forecast", "coverage", "without", "parameters", "sensors"]
     assert "e+15" not in out and "e+16" not in out and "singular" not in out
     assert "the run did not show" in out
-
-
-def test_identify_of_several_runs_ends_with_five_answers(folder, tmp_path):
-    log = folder / "run.csv"
-    for arguments in ((log, log), (log, log, log, "--save-prior", tmp_path / "boat.prior")):
-        out = run("identify", *arguments).stdout
-        lines = [line for line in out.splitlines() if re.match("(green|amber|red) ", line)]
-        heads = [line.split()[1] for line in lines]
-        assert heads == ["forecast", "coverage", "without", "parameters", "sensors"]
-        runs = len([one for one in arguments if one == log])
-        assert all(f"of {runs} runs are " in line for line in lines)
-        assert f"from {runs} run(s), model mmg" in out and "e+15" not in out
-    assert "prior = " in out
-    assert "no model" in run("identify", log, log, "-p", "persistence").stdout
-
-
-def test_identify_saves_and_uses_a_prior(folder, tmp_path):
-    log, kept = folder / "run.csv", tmp_path / "boat.prior"
-    out = run("identify", log, log, "--save-prior", kept).stdout
-    assert "from 2 run(s), model mmg" in out and 'prior = "boat.prior"' in out
-    assert "C_north" not in kept.read_text()  # the current is that of a day
-    text = (folder / "run.toml").read_text()
-    own = tmp_path / "own.toml"
-    own.write_text(text.replace("[particulars]", '[particulars]\nprior = "boat.prior"'))
-    again = run("identify", log, "--ship", own, "--json", tmp_path / "a.json").stdout
-    assert "starts without it" not in again
-    run("identify", log, "--json", tmp_path / "b.json")
-    a, b = (json.loads((tmp_path / f"{n}.json").read_text())["parameters_sd"] for n in "ab")
-    assert a["X_nn"] < b["X_nn"]
-    assert "ukf has the model 'paper'" in run("identify", log, "--ship", own, "-p", "ukf").stdout
-    # a prior of runs that began with it would count them twice: they begin without
-    out = run("identify", log, "--ship", own, "--save-prior", tmp_path / "2.prior").stdout
-    assert "begins without the prior" in out
-    for arguments, words in (
-        ((log, "--save-prior", kept), "--force"),
-        ((log, log, "--json", tmp_path / "x.json"), "--json: that is for one run"),
-        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
-        ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
-    ):
-        assert words in run("identify", *arguments, check=2).stderr
-    assert not (tmp_path / "3.prior").exists()

@@ -175,3 +175,19 @@ def test_directions_without_data_are_said_in_words() -> None:
         1.0,
     ).submodels[0]
     assert whole.not_shown == () and "e+0" in whole.condition
+
+
+def test_parameters_of_another_equation_are_not_said_to_be_missing() -> None:
+    """The range of yaw holds parameters of sway, which have no part in it."""
+    sway, yaw = np.diag([1.0, 0.0]), np.diag([0.0, 0.0, 1.0, 0.0])
+    found = assess(
+        ("Y_v", "Y_w", "N_r", "N_w"),
+        [("sway", range(2)), ("yaw", range(4))],
+        [sway, yaw],
+        [1.0, 1.0],
+        np.eye(4),
+        np.eye(4),
+        1.0,
+    ).submodels
+    assert found[0].not_shown == ("Y_w",)
+    assert found[1].parameters == ("N_r", "N_w") and found[1].not_shown == ("N_w",)

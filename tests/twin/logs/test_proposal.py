@@ -225,7 +225,7 @@ def test_what_is_open_is_asked(tmp_path: Path, run: Log) -> None:
         "n2": numbers(lambda log: log.cmd[:, 1]),
     }
     text = propose(write(tmp_path / "a.csv", run, columns)).text("a.csv")
-    assert 'from = "Clock"' in text and "keeps no date" in text
+    assert 'from = ["Date", "Clock"]' in text and "keeps no date" not in text
     assert "or latitude and longitude are swapped" in text
     assert "vx, vy: are these m/s to north and east?" in text and "gps_vx_mps" not in text
     columns["Latitude"] = lambda log: ["59.43 N"] * len(log)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import re
 from collections.abc import Sequence
@@ -99,6 +100,13 @@ def identify_command(
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
     ] = False,
+    with_faulty: Annotated[
+        bool,
+        typer.Option(
+            "--with-faulty",
+            help="Keep with --save-prior also runs in which sensors or commands are at fault.",
+        ),
+    ] = False,
 ) -> None:
     """Run the twin over a log, and print the state and the parameters that it estimates.
 
@@ -112,10 +120,11 @@ def identify_command(
 
     Several logs are runs of one boat: each is identified by itself, and the parameters are
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
-    boat's own prior, also of one run. Each run begins without an earlier prior.
+    boat's own prior, also of one run. Each run begins without an earlier prior. Runs in which
+    sensors or commands are at fault are left out of it, and a run that is given twice counts once.
 
-    It ends with the colour and the lines of usv-twin judge, from fewer forecasts and GPS losses.
-    Of several runs, each line is that of the worst.
+    It ends with the colour and the lines of usv-twin judge. Of several runs, each line is of one
+    with the worst colour.
     """
     if save_prior is not None:
         if resume is not None:
@@ -129,10 +138,12 @@ def identify_command(
         given = [name for name, value in one.items() if value is not None]
         if given:
             raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
-        runs = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
-        _combine([run[0] for run in runs], save_prior)
+        seen: dict[str, Path] = {}
+        found = [_run_of(one, seen, predictor, ship, until, model, mapping) for one in logs]
+        runs = [run for run in found if run is not None]
+        _combine(_to_keep(runs, with_faulty, save_prior), save_prior)
         print_verdict(worst_of([run[1] for run in runs]))
-        explain("Each line is that of the worst run. usv-twin judge LOG judges one in full.")
+        explain("Each line is of one run with the worst colour. usv-twin judge LOG judges one.")
         return
     log = logs[0]
     if save_prior is not None:
@@ -147,7 +158,7 @@ def identify_command(
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
-    meter = TrustMeter(twin, run, light=True)
+    meter = TrustMeter(twin, run)
     meter.prior = prior
     with row_progress("identifying", len(run)) as advance:
 
@@ -178,10 +189,11 @@ def identify_command(
         console.print(f"every row: {out}")
     if save is not None:
         console.print(f"the twin at t = {twin.t:.2f} s: {save}")
+    verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
     if save_prior is not None:
-        _combine([twin], save_prior)
-    print_verdict(meter.verdict(findings_of(log, mapping, twin.particulars, until)))
-    explain("usv-twin judge LOG tries more forecasts and GPS losses; its --help has the rules.")
+        _combine(_to_keep([(twin, verdict)], with_faulty, save_prior), save_prior)
+    print_verdict(verdict)
+    explain("usv-twin judge LOG draws this; its --help has the rules.")
 
 
 def _opened(
@@ -205,15 +217,24 @@ def _opened(
 
 def _run_of(
     log: Path,
+    seen: dict[str, Path],
     predictor: str | None,
     ship: str | None,
     until: float | None,
     model: str | None,
     mapping: Path | None,
-) -> tuple[Twin, Verdict]:
-    """Return a twin that ran over a log, and how far it may be trusted."""
+) -> tuple[Twin, Verdict] | None:
+    """Return a twin that ran over a log, and how far it may be trusted; None of a log seen before.
+
+    ``seen`` holds the logs so far, by what is in them.
+    """
     run, twin = _opened(log, predictor, ship, until, model, mapping)
-    meter = TrustMeter(twin, run, light=True)
+    content = hashlib.sha256(b"".join(part.tobytes() for part in (run.t, run.z, run.cmd)))
+    first = seen.setdefault(content.hexdigest(), log)
+    if first is not log:
+        note(f"{log}: has the same rows as {first}, and counts once")
+        return None
+    meter = TrustMeter(twin, run)
     with row_progress(f"identifying {run.name}", len(run)) as advance:
 
         def on_row() -> None:
@@ -228,6 +249,30 @@ def _run_of(
     about = f"{run.name}: {run.t[-1] - run.t[0]:.0f} s, {verdict.colour}"
     console.print(about, highlight=False, soft_wrap=True)
     return twin, verdict
+
+
+def _to_keep(
+    runs: Sequence[tuple[Twin, Verdict]], with_faulty: bool, path: Path | None
+) -> list[Twin]:
+    """Return the twins whose runs a prior may be made of; LogError if there is none."""
+    kept = []
+    for twin, verdict in runs:
+        fault = verdict.fault
+        if fault and path is not None and not with_faulty:
+            note(
+                f"{verdict.log}: left out of the prior, for {fault}; mend the log, or keep it with "
+                "--with-faulty"
+            )
+        else:
+            kept.append(twin)
+    if not kept:
+        for run in runs:
+            print_verdict(run[1])
+        raise LogError(
+            f"{path}: not written, as no run is without a fault of sensors or commands; mend the "
+            "logs, or keep them with --with-faulty"
+        )
+    return kept
 
 
 def _combine(twins: Sequence[Twin], path: Path | None) -> None:

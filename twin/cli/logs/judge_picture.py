@@ -18,7 +18,8 @@ from twin.benchmark.figures.style import (
     set_ticks,
     set_title,
 )
-from twin.benchmark.trust import FAR, HORIZON, Verdict
+from twin.benchmark.trust import HORIZON, Verdict
+from twin.benchmark.trust_answers import FAR
 from twin.logs.log import Log
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +15,9 @@ from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
 from twin.logs.proposal import Proposal, propose
 
+ZONE = r"[+-](0\d|1[0-4]):[0-5]\d"
+"""How far a clock is ahead of UTC."""
+
 
 def mapping_new_command(
     log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz or Parquet.")],
@@ -24,6 +28,9 @@ def mapping_new_command(
     dates: Annotated[
         str, typer.Option(help=f"Order of dates that leave it open: {' or '.join(ORDERS)}.")
     ] = "",
+    zone: Annotated[
+        str, typer.Option(help="How far a clock of an ambiguous zone is ahead of UTC, as -05:00.")
+    ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
 ) -> None:
     """Propose a mapping file from the names and values of a log's columns.
@@ -33,12 +40,18 @@ def mapping_new_command(
     """
     if dates and dates not in ORDERS:
         raise OptionError(f"--dates {dates}: use {' or '.join(ORDERS)}")
+    if zone and not re.fullmatch(ZONE, zone):
+        raise OptionError(f"--zone {zone}: write hours and minutes, such as -05:00 or +09:30")
     path = out or sibling_path(log, ".mapping.toml")
     if path.exists() and not force:
         raise OptionError(f"{path}: is there already; choose another --out, or --force")
-    found = propose(log, dates)
+    found = propose(log, dates, zone)
     if found.choices:
-        found = _ask(log, found)
+        dates = _ask(found, "first?", "--dates", tuple(ORDERS))
+        found = propose(log, dates, zone)
+    if found.zone:
+        zone = _ask(found, "of UTC?", "--zone", ("-05:00", "+09:30"), ZONE)
+        found = propose(log, dates, zone)
     write_text(path, found.text(log.name))
     Layout.load(path)  # what is written can be read
     console.print(path.read_text(encoding="utf-8"), highlight=False, soft_wrap=True, end="")
@@ -52,12 +65,14 @@ def _is_interactive() -> bool:
     return sys.stdin.isatty()
 
 
-def _ask(log: Path, found: Proposal) -> Proposal:
-    """Return the proposal with the order of day and month that the user names."""
-    question = next(text for text in found.questions if text.endswith("day first or month first?"))
+def _ask(
+    found: Proposal, end: str, option: str, examples: tuple[str, ...], pattern: str = ""
+) -> str:
+    """Return the user's answer to the question that ends so."""
+    question = next(text for text in found.questions if text.endswith(end))
     if not _is_interactive():
-        raise OptionError(f"{question} Say so with --dates {' or --dates '.join(ORDERS)}")
+        raise OptionError(f"{question} Say so with {option} {f' or {option} '.join(examples)}")
     answer = ""
-    while answer not in ORDERS:
-        answer = typer.prompt(f"{question} ({' or '.join(ORDERS)})").strip()
-    return propose(log, answer)
+    while not re.fullmatch(pattern or "|".join(examples), answer):
+        answer = typer.prompt(f"{question} ({' or '.join(examples)})").strip()
+    return answer

@@ -1,0 +1,93 @@
+"""``usv-twin identify`` of several runs: one answer for each line, and a boat's own prior."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+
+import pytest
+
+from tests.twin.cli.command import run
+from twin import Log
+
+
+@pytest.fixture(scope="module")
+def second(folder, tmp_path_factory):
+    """Return another run of the same boat: the later part of the log."""
+    place = tmp_path_factory.mktemp("second")
+    (place / "later.toml").write_text((folder / "run.toml").read_text())
+    log = Log.read(folder / "run.csv").without_truth()
+    log.slice(0.3 * log.t[-1], math.inf).write(place / "later.csv")
+    return place / "later.csv"
+
+
+def test_identify_of_several_runs_ends_with_five_answers(folder, second, tmp_path):
+    log = folder / "run.csv"
+    for more in ((), ("--save-prior", tmp_path / "boat.prior")):
+        out = run("identify", log, second, *more).stdout
+        lines = [line for line in out.splitlines() if re.match("(green|amber|red) ", line)]
+        heads = [line.split()[1] for line in lines]
+        assert heads == ["forecast", "coverage", "without", "parameters", "sensors"]
+        assert all(re.search(r"\[of (run|later); (1 of|all) 2 runs \w+\]$", line) for line in lines)
+        assert "from 2 run(s), model mmg" in out and "e+15" not in out
+    assert "prior = " in out
+    assert "no model" in run("identify", log, second, "-p", "persistence").stdout
+
+
+def test_identify_ends_as_a_verdict_does(folder):
+    verdicts = []
+    for command in (("judge", "--no-picture"), ("identify",)):
+        out = run(command[0], folder / "run.csv", *command[1:]).stdout
+        verdicts.append([row for row in out.splitlines() if re.match("(green|amber|red) ", row)])
+    assert verdicts[0] == verdicts[1]
+
+
+def test_a_run_given_twice_counts_once(folder, tmp_path):
+    log, copy = folder / "run.csv", tmp_path / "copy.csv"
+    copy.write_bytes(log.read_bytes())
+    (tmp_path / "copy.toml").write_text((folder / "run.toml").read_text())
+    found = run("identify", log, copy, "--save-prior", tmp_path / "boat.prior")
+    assert "counts once" in found.stdout + found.stderr and "from 1 run(s)" in found.stdout
+
+
+def test_priors_are_not_made_of_faulty_runs(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    log.z[:, 5] *= -1.0
+    bad, kept = tmp_path / "bad.csv", tmp_path / "boat.prior"
+    log.write(bad)
+    (tmp_path / "bad.toml").write_text((folder / "run.toml").read_text())
+    found = run("identify", bad, "--save-prior", kept, check=2)
+    assert "gyro-sign" in found.stdout and "--with-faulty" in found.stderr and not kept.exists()
+    found = run("identify", folder / "run.csv", bad, "--save-prior", kept)
+    assert "bad: left out of the prior" in found.stdout + found.stderr
+    assert "from 1 run(s)" in found.stdout
+    out = run("identify", bad, "--save-prior", kept, "--force", "--with-faulty").stdout
+    assert "from 1 run(s)" in out
+
+
+def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):
+    log, kept = folder / "run.csv", tmp_path / "boat.prior"
+    out = run("identify", log, second, "--save-prior", kept).stdout
+    assert "from 2 run(s), model mmg" in out and 'prior = "boat.prior"' in out
+    assert "C_north" not in kept.read_text()  # the current is that of a day
+    text = (folder / "run.toml").read_text()
+    own = tmp_path / "own.toml"
+    own.write_text(text.replace("[particulars]", '[particulars]\nprior = "boat.prior"'))
+    again = run("identify", log, "--ship", own, "--json", tmp_path / "a.json").stdout
+    assert "starts without it" not in again
+    run("identify", log, "--json", tmp_path / "b.json")
+    a, b = (json.loads((tmp_path / f"{n}.json").read_text())["parameters_sd"] for n in "ab")
+    assert a["X_nn"] < b["X_nn"]
+    assert "ukf has the model 'paper'" in run("identify", log, "--ship", own, "-p", "ukf").stdout
+    # a prior of runs that began with it would count them twice: they begin without
+    out = run("identify", log, "--ship", own, "--save-prior", tmp_path / "2.prior").stdout
+    assert "begins without the prior" in out
+    for arguments, words in (
+        ((log, "--save-prior", kept), "--force"),
+        ((log, log, "--json", tmp_path / "x.json"), "--json: that is for one run"),
+        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
+        ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
+    ):
+        assert words in run("identify", *arguments, check=2).stderr
+    assert not (tmp_path / "3.prior").exists()

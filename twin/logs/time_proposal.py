@@ -1,0 +1,231 @@
+"""Which columns of an unknown log hold the time, and how they are written."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.logs.columns import Array
+from twin.logs.dates import (
+    ZONES,
+    DateFormat,
+    date_formats,
+    dates,
+    is_day,
+    is_time_of_day,
+    joined,
+    padded,
+)
+from twin.logs.header_words import NAMES, means, unit_of
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["TimeColumns", "find_time"]
+
+_DAY = 86400.0
+
+_DAY_STEP, _DAY_LEAST = 5e-4, 2e4
+"""Numbers above the second that rise by less than the first are days, not seconds: no log has 2000
+rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
+
+
+@dataclass
+class TimeColumns:
+    """Where the time is, and how to read it.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Column of the time, or those of date and time; empty if there is none.
+    unit, more, why : str
+        Unit, other keys and comment of its line in the mapping.
+    seconds : ndarray, shape (N,)
+        The time, s.
+    questions : list of str
+        What the values leave open.
+    choices : list of DateFormat
+        Two formats, where day and month are open.
+    zone : str
+        The name of a zone, where it means several.
+    """
+
+    names: tuple[str, ...] = ()
+    unit: str = ""
+    more: str = ""
+    why: str = ""
+    seconds: Array | None = None
+    questions: list[str] = field(default_factory=list)
+    choices: list[DateFormat] = field(default_factory=list)
+    zone: str = ""
+
+
+def find_time(
+    text: pl.DataFrame, numbers: dict[str, Array], left: Sequence[str], answers: tuple[str, str]
+) -> TimeColumns:
+    """Return the time of a log.
+
+    Parameters
+    ----------
+    text : DataFrame
+        Its cells.
+    numbers : dict of str to ndarray
+        The columns whose cells are numbers.
+    left : sequence of str
+        Names of the columns that may hold it.
+    answers : tuple of str
+        Order of day and month, and zone; empty where they are not stated.
+    """
+    found = TimeColumns()
+    named = [name for name in left if means(name, NAMES["time"])]
+    for names in _clocks(text, numbers, left, named):
+        cells = text[names[-1]].str.strip_chars()
+        if names[-1] in numbers:
+            cells = padded(cells)
+        if len(names) == 2:
+            cells = joined(text[names[0]], cells)
+        formats = date_formats(cells.drop_nulls().to_list())
+        if formats:
+            return _dated(found, names, cells, formats, answers)
+    for name in named:
+        if name not in numbers and text[name].drop_nulls().len():
+            cell = str(text[name].drop_nulls()[0])
+            found.questions.append(
+                f"{name}: {cell!r} has no format of date and time that is known, or other rows "
+                'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
+            )
+    return _counted(found, numbers, left, named)
+
+
+def _clocks(
+    text: pl.DataFrame, numbers: dict[str, Array], left: Sequence[str], named: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """Return columns that may hold date and time, the likeliest first."""
+    first = {name: _first(text, name) for name in left}
+    days = [name for name in named if is_day(first[name])]
+    whole = [
+        n for n in left if n not in numbers and ":" in first[n] and not is_time_of_day(first[n])
+    ]
+    whole += [n for n in left if n not in numbers and re.match(r"\d{8}T\d{6}", first[n])]
+    whole += [n for n in named if n in numbers and re.match(r"(19|20)\d{12}(\.|$)", first[n])]
+    times = [n for n in left if n not in numbers and is_time_of_day(first[n])]
+    times += [n for n in named if n in numbers and n not in days and _is_hhmmss(numbers[n])]
+    whole.sort(key=lambda name: name not in named)
+    times.sort(key=lambda name: name not in named)
+    pairs = [(day, time) for time in times for day in days if day != time]
+    return [*((name,) for name in whole), *pairs, *((name,) for name in times)]
+
+
+def _first(text: pl.DataFrame, name: str) -> str:
+    cells = text[name].str.strip_chars().drop_nulls()
+    cells = cells.filter(cells != "")
+    return str(cells[0]) if len(cells) else ""
+
+
+def _is_hhmmss(values: Array) -> bool:
+    """Return whether numbers are hours, minutes and seconds in one, as NMEA has them."""
+    known = values[np.isfinite(values)]
+    if len(known) < 10 or known.min() < 0.0 or known.max() >= 240000.0:
+        return False
+    minutes, seconds = known // 100.0 % 100.0, known % 100.0
+    if (minutes >= 60.0).any() or (seconds >= 60.0).any():
+        return False
+    # seconds would reach 60 within the minute; within one minute both say the same
+    step = np.diff(known)
+    return bool((step >= 40.0).any() and np.median(step) < 30.0)
+
+
+def _dated(
+    found: TimeColumns,
+    names: tuple[str, ...],
+    cells: pl.Series,
+    formats: list[DateFormat],
+    answers: tuple[str, str],
+) -> TimeColumns:
+    """Return the time of cells whose formats are known."""
+    order, zone = answers
+    example = cells.drop_nulls()[0]
+    title = " and ".join(names)
+    if len(formats) > 1:
+        chosen = [each for each in formats if each.order == order]
+        if not chosen:
+            found.choices = formats
+            found.questions.append(f"{title}: {example!r}: day first or month first?")
+        formats = chosen or formats
+    form, name = formats[0].format, formats[0].zone
+    found.names, found.unit = names, "datetime"
+    found.more = f"format = {json.dumps(form)}" if form else ""
+    if "%d" not in form and form:
+        found.why = "a time without a date"
+        found.questions.append(f"{title}: the log keeps no date; add a column of dates to keep it")
+    elif form.startswith("%d%m%y "):
+        found.questions.append(f"{names[0]}: taken as day, month, year, as NMEA has it")
+    if name:
+        zone = zone or ZONES.get(name, "")
+        found.more += f', zone = "{zone}"' if zone else ""
+        found.why = f"{name} is {zone}" if zone else ""
+        if not zone:
+            found.zone = name
+            found.questions.append(
+                f"{title}: {example!r}: {name} is the name of several zones: how far ahead of UTC?"
+            )
+    elif not re.search(r"%#?z|UTC$|GMT$", form) and "%d" in (form or "%d"):
+        stated = not form and re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", example)
+        found.why = "" if stated else "dates without a zone count as UTC"
+    found.seconds = dates(cells, form).to_numpy().astype(np.float64, copy=False)
+    return found
+
+
+def _counted(
+    found: TimeColumns, numbers: dict[str, Array], left: Sequence[str], named: Sequence[str]
+) -> TimeColumns:
+    """Return the time of a column of numbers that rise."""
+    there = [name for name in left if name in numbers]
+    rising = [name for name in there if (np.diff(_known(numbers[name])) >= 0.0).all()]
+    if not set(rising) & set(named):
+        rising = [name for name in rising[:1] if _is_clock(numbers[name])]
+        found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
+    if not rising:
+        return found
+    name = min((name for name in rising if name in named), key=len, default=rising[0])
+    values = numbers[name]
+    unit = unit_of(name, ("ms", "us", "ns")) or _time_unit(values)
+    scale = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": _DAY}[unit]
+    start = float(_known(values)[0]) * scale
+    found.names, found.unit = (name,), unit
+    if start > 1e6:
+        found.more, found.why = f"offset = {-start!r}", "counted from the first row"
+        if unit == "day":
+            found.why = "days, as spreadsheets count them; from the first row on"
+    found.seconds = np.asarray(values * scale - (start if found.more else 0.0))
+    return found
+
+
+def _is_clock(values: Array) -> bool:
+    """Return whether values of a column rise in each row, most by much the same."""
+    step = np.diff(_known(values))
+    if len(step) < 10 or (step <= 0.0).any():
+        return False
+    return bool(np.mean(np.abs(step / np.median(step) - 1.0) < 0.5) > 0.9)
+
+
+def _time_unit(values: Array) -> str:
+    """Return the unit of times without one in the name, from their size and step."""
+    known = _known(values)
+    step = float(np.median(np.diff(known))) if len(known) > 1 else math.nan
+    if known[0] > _DAY_LEAST and 0.0 < step < _DAY_STEP:
+        return "day"
+    for unit, least, epoch in (("ns", 1e6, 1e17), ("us", 1e3, 1e14), ("ms", 5.0, 1e11)):
+        if known[-1] > epoch or (step >= least and unit != "ns"):
+            return unit
+    return ""
+
+
+def _known(values: Array) -> Array:
+    return values[np.isfinite(values)]
