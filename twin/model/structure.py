@@ -544,7 +544,7 @@ def structure_of(
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
-    left_out = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
+    left_out: tuple[str, ...] = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
     if name == "mmg" and not differential:
         left_out += AT_REST
     rows = [row for row in _TABLES[name] if row[0] not in left_out]
