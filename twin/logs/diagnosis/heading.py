@@ -47,8 +47,17 @@ _LATE = 2.0
 _LAG_GAIN = 1.4
 """A lag is one if without it so many times as much is left unexplained."""
 
-_LEAST_TURN = 0.05
-"""Turns over a window that spread by less, rad, tell nothing of scale and sign."""
+_QUICK = 0.05
+"""Turns over a window that spread by less, rad, tell nothing of a delay."""
+
+_SEEN, _SURE = 3.0, 4.0
+"""Turns are seen from so many times the noise on; a scale is sure within so many of its sd."""
+
+_ZERO = 0.02
+"""Zero of a gyro that a steady turn cannot tell from its scale, rad/s."""
+
+_DEVIATION = math.radians(4.0)
+"""A compass is off by about this from heading to heading, rad: on few headings that is scale."""
 
 _SCALE, _BIAS, _LAG = 0.1, 0.01, 0.15
 """Errors of a gyro that are worth a word: of scale, of zero (rad/s), of time (s)."""
@@ -77,7 +86,11 @@ class GyroFit(NamedTuple):
     correlation: float
     """Of the turns over windows."""
     turned: float
-    """Standard deviation of these turns, rad."""
+    """Standard deviation of these turns, rad; of a steady turn, their root mean square ..."""
+    blurred: float
+    """... and what the noise of both adds to one."""
+    swing: float
+    """Standard deviation of the heading, rad."""
     disagree: float
     """Standard deviation of gyro less compass over half a second, rad/s ..."""
     expected: float
@@ -146,15 +159,27 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     )
     bad = int(np.argmax(np.where(rough > _DISAGREE_SHARE * turning, rough, 0.0)))
     noise = math.hypot(math.sqrt(2.0) * compass_noise / short, gyro_noise / math.sqrt(short))
+    blurred = math.hypot(math.sqrt(2.0) * compass_noise, gyro_noise * math.sqrt(window))
     both = float(np.corrcoef(x, y)[0, 1]) if min(np.std(x), np.std(y)) > 0.0 else 0.0
+    bias, bias_sd = bias / window, 1.5 * line.offset_sd / window
+    turned, size = float(np.std(x)), math.sqrt(float((x**2).mean()))
+    if turned < _SEEN * blurred < size:
+        # in a steady turn, zero and scale of the gyro are one: most of it is scale
+        power = math.sqrt(float((y**2).mean()))
+        scale, both = float(x @ y) / float(x @ x), float((x * y).mean()) / max(size * power, 1e-300)
+        left = float(np.std(y - scale * x)) / math.sqrt(0.5 * len(x))
+        scale_sd, turned = math.hypot(_ZERO * window, left) / size, size
+        bias, bias_sd = 0.0, _ZERO
     return GyroFit(
         scale,
         scale_sd,
-        bias / window,
-        1.5 * line.offset_sd / window,
+        bias,
+        bias_sd,
         late,
         both,
-        float(np.std(x)),
+        turned,
+        blurred,
+        float(np.std(psi)),
         float(np.std(known)) if len(known) else math.nan,
         noise,
         float(rough[bad]),
@@ -369,8 +394,9 @@ def _gyro(
         return []
     name, evidence = recording.called("gyro_radps"), fit._asdict()
     found = []
-    clear = fit.turned > max(_LEAST_TURN, 3.0 * fit.expected) and abs(fit.correlation) > 0.8
-    if clear and fit.scale < 0.0:
+    clear = fit.turned > _SEEN * fit.blurred and abs(fit.correlation) > 0.8
+    doubt = max(_SURE * fit.scale_sd, _DEVIATION / max(fit.swing, 1e-9))
+    if clear and fit.scale < -_SURE * fit.scale_sd:
         found.append(
             Finding(
                 ERROR,
@@ -391,7 +417,7 @@ def _gyro(
                 evidence,
             )
         )
-    elif clear and abs(times - 1.0) > max(_SCALE, 4.0 * fit.scale_sd):
+    elif clear and abs(times - 1.0) > max(_SCALE, doubt):
         found.append(
             Finding(
                 ERROR if not 0.5 < times < 2.0 else WARNING,
@@ -412,7 +438,7 @@ def _gyro(
                 evidence,
             )
         )
-    if clear and abs(fit.lag) > _LAG:
+    if clear and fit.turned > _QUICK and abs(fit.lag) > _LAG:
         late = "gyro" if fit.lag > 0.0 else "compass"
         found.append(
             Finding(
