@@ -37,6 +37,12 @@ _LEAST_ADVANCE, _LEAST_LENGTHS = 0.008, 0.001
 _MOST_LENGTHS = 0.6
 """... and none farther than this, lengths."""
 
+_BEYOND, _FULL = 5.0, 2.5
+"""No shaft turns so many times as fast as the particulars say; nor so many times as fast, and
+exactly as far as a scale goes."""
+
+_SCALES = {1.0: "shares of full throttle", 100.0: "per cent"}
+
 _UNITS = {60.0: "rpm", 2.0 * math.pi: "rad/s"}
 
 _MOST_ANGLE = 1.3
@@ -440,39 +446,84 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
     n = recording.cmd[:, :2]
     name = recording.called("n_left_rps", "n_right_rps")
     seen = n[np.isfinite(n)]
+    if not len(seen):
+        return []
     motion = speed_of(recording)
-    if motion is None or not len(seen):
+    if not seen.any():
+        return _no_commands(name, motion)
+    found = _by_motion(recording, name, motion, particulars)
+    if not any(finding.severity == ERROR for finding in found):
+        found = _by_particulars(name, seen, particulars) or found
+    pulses = seen.min() >= 800.0 and np.ptp(seen) > 20.0 and seen.max() <= 2200.0
+    if pulses and found and not any("rpm, not" in finding.what for finding in found):
+        what = (
+            f"{name}: between {seen.min():.0f} and {seen.max():.0f}, never 0, as pulse widths are"
+        )
+        remedy = "make neutral 0: scale = 0.02, offset = -30.0 in a mapping file for 1500 us"
+        evidence = {"least": float(seen.min()), "most": float(seen.max())}
+        return [Finding(ERROR, "shaft-pwm", what, remedy, evidence)]
+    return found
+
+
+def _no_commands(name: str, motion: tuple[Array, Array, Array] | None) -> list[Finding]:
+    """Return a finding where a boat goes without a command."""
+    if motion is None:
+        return []
+    way = np.nansum(np.hypot(*motion[1].T)) * float(np.median(np.diff(motion[0])))
+    if way < 20.0:
+        return []
+    what = f"{name}: all commands are 0, but the boat goes"
+    remedy = "record the commands; without them a twin cannot learn"
+    return [Finding(ERROR, "commands-missing", what, remedy)]
+
+
+def _by_particulars(
+    name: str, seen: Array, particulars: Particulars | None
+) -> list[Finding]:
+    """Return a finding about shaft speeds far from what the particulars state, in rest or not."""
+    if particulars is None or SHARE in name:
+        return []
+    turning = np.abs(seen[seen != 0.0])
+    usual, most = float(np.quantile(turning, 0.95)), float(turning.max())
+    stated = particulars.shaft_speed
+    evidence = {"usual": usual, "most": most, "stated": stated}
+    full = _SCALES.get(most)
+    if full is not None and not 1.0 / _FULL < most / stated < _FULL:
+        what = f"{name}: at most {most:g}, as {full} go, where the particulars say {stated:.3g}"
+        remedy = "scale = ... in a mapping: rev/s at full throttle over this number"
+        return [Finding(ERROR, "shaft-unit", what + " rev/s", remedy, evidence)]
+    if usual < _BEYOND * stated:
+        return []
+    what = (
+        f"{name}: up to {usual:.4g} rev/s, {usual / stated:.2g} times what the particulars say "
+        f"({stated:.3g})"
+    )
+    remedy = (
+        'state the unit in a mapping: unit = "rpm" or "radps" (or scale = ... for per cent), or '
+        "correct shaft_speed in the particulars"
+    )
+    return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
+
+
+def _by_motion(
+    recording: Recording,
+    name: str,
+    motion: tuple[Array, Array, Array] | None,
+    particulars: Particulars | None,
+) -> list[Finding]:
+    """Return a finding about shaft speeds that the way of the boat contradicts."""
+    if motion is None:
         return []
     middle, velocity = motion[:2]
     speed = np.hypot(*velocity.T)
-    if not seen.any():
-        if np.nansum(speed) * float(np.median(np.diff(middle))) < 20.0:
-            return []
-        return [
-            Finding(
-                ERROR,
-                "commands-missing",
-                f"{name}: all commands are 0, but the boat goes",
-                "record the commands; without them a twin cannot learn",
-            )
-        ]
-    shaft = np.nan_to_num(np.abs(n)).mean(axis=1)
+    shaft = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
     step = float(np.median(np.diff(middle)))
     turns = averaged(recording.t, shaft, middle, 2.0 * step)
     fast = (speed > 0.4 * np.fmax.reduce(speed)) & (turns > 0.2 * np.fmax.reduce(turns))
     if fast.sum() < 5:
         return []
     advance = float(np.quantile(speed[fast] / turns[fast], 0.75))
-    found = _advance(name, advance, float(np.median(turns[fast])), particulars)
-    if found and seen.min() >= 800.0 and np.ptp(seen) > 20.0 and seen.max() <= 2200.0:
-        what = (
-            f"{name}: between {seen.min():.0f} and {seen.max():.0f}, never 0, as pulse widths are"
-        )
-        remedy = "make neutral 0: scale = 0.02, offset = -30.0 in a mapping file for 1500 us"
-        evidence = {"least": float(seen.min()), "most": float(seen.max())}
-        if not any("rpm, not" in finding.what for finding in found):
-            return [Finding(ERROR, "shaft-pwm", what, remedy, evidence)]
-    return found
+    return _advance(name, advance, float(np.median(turns[fast])), particulars)
 
 
 def _advance(

@@ -53,6 +53,34 @@ _TILT_NOISE = {
 }
 
 
+_CAUSES = (
+    "time-empty",
+    "time-back",
+    "time-unit",
+    "position-degrees",
+    "compass-degrees",
+    "compass-reversed",
+    "track-mirrored",
+)
+"""What other findings follow from, in this order."""
+
+_OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
+"""Findings that a wrong unit of time feigns."""
+
+_TIMELESS = {
+    "too-short",
+    "sensor-empty",
+    "sensor-dead",
+    "infinite",
+    "command-empty",
+    "position-degrees",
+    "compass-degrees",
+    "angle-degrees",
+    "shaft-pwm",
+}
+"""Findings that rest on no time."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """What the sensors of a log are like, as far as it tells.
@@ -144,6 +172,13 @@ def without_jumps(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def without_fixes(recording: Recording) -> Recording:
+    """Return a recording without positions."""
+    z = recording.z.copy()
+    z[:, :2] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def measure(recording: Recording) -> Measured:
     """Return what the sensors of a log are like.
 
@@ -205,14 +240,18 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     Diagnosis
     """
     found = _cells(recording) + check_timing(recording)
-    clean = without_jumps(recording)
+    position = check_position(recording)
+    kept = clean = without_jumps(recording)
+    if any(finding.code == "position-degrees" for finding in position):
+        # ways in degrees would blame the commands
+        clean = without_fixes(recording)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         tilt = check_attitude(clean, particulars)
         # roll and pitch that are sound are taken out of the other sensors
         level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
         measured = dataclasses.replace(measure(level), unchecked=unchecked_axes(clean, particulars))
         heading = check_heading(level)
-        found += check_position(recording) + _of_own_cause(heading, tilt) + tilt
+        found += position + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
         if any("gain" in finding.evidence for finding in tilt):
             moved = []  # faults of axes explain what they show
@@ -222,10 +261,31 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         found += moved
         found += check_commands(clean, particulars) + check_forces(clean)
     first: dict[str, Finding] = {}
-    for finding in found:
+    for finding in _by_cause(found):
         first.setdefault(finding.code, finding)
-    order = sorted(first.values(), key=lambda finding: SEVERITIES.index(finding.severity))
-    return Diagnosis(clean, measured, tuple(order))
+    order = sorted(first.values(), key=_rank)
+    return Diagnosis(kept, measured, tuple(order))
+
+
+def _rank(finding: Finding) -> tuple[int, int]:
+    """Return the place of a finding: severe ones first, and a cause before what follows from it."""
+    before = _CAUSES.index(finding.code) if finding.code in _CAUSES else len(_CAUSES)
+    return SEVERITIES.index(finding.severity), before
+
+
+def _by_cause(found: list[Finding]) -> list[Finding]:
+    """Return findings without those that a wrong unit of time explains."""
+    codes = {finding.code for finding in found}
+    if "time-unit" not in codes or not codes & _OF_RATES:
+        return found
+    left = []
+    for finding in found:
+        if finding.code == "time-unit":
+            remedy = f"{finding.remedy}; all rates and speeds rest on it, so check again then"
+            left.append(dataclasses.replace(finding, severity=ERROR, remedy=remedy))
+        elif finding.code in _TIMELESS or finding.code.startswith("time-"):
+            left.append(finding)
+    return left
 
 
 def _of_own_cause(heading: list[Finding], tilt: list[Finding]) -> list[Finding]:

@@ -159,7 +159,9 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     )
     bad = int(np.argmax(np.where(rough > _DISAGREE_SHARE * turning, rough, 0.0)))
     noise = math.hypot(math.sqrt(2.0) * compass_noise / short, gyro_noise / math.sqrt(short))
-    blurred = math.hypot(math.sqrt(2.0) * compass_noise, gyro_noise * math.sqrt(window))
+    # noise of a gyro in degrees is in degrees too
+    own = gyro_noise * math.sqrt(window) / max(abs(scale), 1.0)
+    blurred = math.hypot(math.sqrt(2.0) * compass_noise, own)
     both = float(np.corrcoef(x, y)[0, 1]) if min(np.std(x), np.std(y)) > 0.0 else 0.0
     bias, bias_sd = bias / window, 1.5 * line.offset_sd / window
     turned, size = float(np.std(x)), math.sqrt(float((x**2).mean()))
