@@ -17,7 +17,7 @@ from twin.logs.diagnosis.attitude import (
     unchecked_axes,
     upright,
 )
-from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
+from twin.logs.diagnosis.commands import check_commands
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
@@ -31,6 +31,7 @@ from twin.logs.diagnosis.position import (
     velocity_on_fixes,
 )
 from twin.logs.diagnosis.signals import ENOUGH, Lag, white_noise
+from twin.logs.diagnosis.signs import Effect, check_each_side, check_signs, turned_by, yaw_effects
 from twin.logs.diagnosis.timing import check_timing, sensor_rates
 from twin.logs.diagnosis.track import TrackFit, compass_on_track, thrust
 from twin.particulars import Particulars
@@ -63,6 +64,9 @@ _CAUSES = (
     "track-mirrored",
 )
 """What other findings follow from, in this order."""
+
+_NO_SIGN = {"commands-missing", "shaft-pwm"}
+"""Faults of commands that leave nothing to tell their signs by."""
 
 _OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
 """Findings that a wrong unit of time feigns."""
@@ -250,7 +254,9 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         # roll and pitch that are sound are taken out of the other sensors
         level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
         measured = dataclasses.replace(measure(level), unchecked=unchecked_axes(clean, particulars))
-        heading = check_heading(level)
+        side, mended = check_each_side(clean)
+        headed = dataclasses.replace(level, cmd=mended.cmd)
+        heading = check_heading(headed, turned_by(mended))
         found += position + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
         if any("gain" in finding.evidence for finding in tilt):
@@ -259,7 +265,12 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
         found += moved
-        found += check_commands(clean, particulars) + check_forces(clean)
+        commands = check_commands(clean, particulars)
+        if not any(finding.code in _NO_SIGN for finding in commands):
+            signs = check_signs(mended, heading)
+            unchecked = any(finding.code == "commands-unchecked" for finding in signs)
+            commands += signs if unchecked else side + signs
+        found += commands + check_forces(clean)
     first: dict[str, Finding] = {}
     for finding in _by_cause(found):
         first.setdefault(finding.code, finding)

@@ -21,7 +21,7 @@ from twin.logs.diagnosis.signals import (
     white_noise,
 )
 from twin.logs.diagnosis.timing import STALE, stale_spans
-from twin.logs.diagnosis.track import check_track, compass_on_track
+from twin.logs.diagnosis.track import SURE, check_track, compass_on_track, thrust
 
 __all__ = [
     "DEGREE",
@@ -292,10 +292,20 @@ def compass_in_degrees(
     return ""
 
 
-def check_heading(recording: Recording) -> list[Finding]:
-    """Return what is wrong with compass and gyro, by each other and by the track."""
+def check_heading(recording: Recording, commands: int = 0) -> list[Finding]:
+    """Return what is wrong with compass and gyro, by each other and by the track.
+
+    Parameters
+    ----------
+    recording : Recording
+        To be checked.
+    commands : int
+        1 where the commands turn the boat as the compass says, -1 against it, 0 where they do not
+        tell.
+    """
     at, values = recording.samples("compass_rad")
     compass = at, values[:, 0]
+    t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
     t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
     t_gyro, rates = recording.samples("gyro_radps")
     gyro = t_gyro, rates[:, 0]
@@ -308,8 +318,33 @@ def check_heading(recording: Recording) -> list[Finding]:
         compass = at, DEGREE * compass[1]
     steps = _steps(recording, compass)
     fit = gyro_on_compass(*compass, *gyro)
-    found += steps + _gyro(recording, fit, _as_logged(recording), bool(steps))
-    return found + check_track(recording, (t_fix, fix), compass)
+    by_gyro = _gyro(recording, fit, _as_logged(recording), bool(steps))
+    against = [finding for finding in by_gyro if finding.code == "gyro-sign"]
+    sees = fit is not None and fit.turned > _SEEN * fit.blurred and fit.correlation > 0.8
+    track = check_track(recording, (t_fix, fix), compass, -1 if against else int(sees), commands)
+    mirrored = any(finding.code == "track-mirrored" for finding in track)
+    if against and (mirrored or (commands < 0 and not _is_plain(recording, compass))):
+        # two against one: the compass is the one that is wrong
+        by_gyro = [] if mirrored else [_compass_sign(recording, against[0])]
+    return found + steps + by_gyro + track
+
+
+def _is_plain(recording: Recording, compass: tuple[Array, Array]) -> bool:
+    """Return whether the track turns as a compass does."""
+    fit = compass_on_track(recording.samples("gps_x_m", "gps_y_m"), compass, thrust(recording))
+    return fit is not None and fit.odds > SURE
+
+
+def _compass_sign(recording: Recording, against: Finding) -> Finding:
+    """Return the finding about a compass that turns against gyro and commands."""
+    return Finding(
+        ERROR,
+        "compass-sign",
+        f"{recording.called('compass_rad')}: the compass turns against the gyro and the commands",
+        'turn its sign: the heading runs clockwise from north (frame = "enu" in a mapping for one '
+        "that runs from east); then check again",
+        against.evidence,
+    )
 
 
 def _dead(recording: Recording) -> list[Finding]:
