@@ -466,7 +466,7 @@ def _answers(recording: Recording, name: str) -> int:
 
 def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
     """Return findings about swapped sides, a wrong sign of the angle, and a dead unit."""
-    found = []
+    found, doubtful = [], False
     shafts = recording.called("n_left_rps", "n_right_rps")
     angles = recording.called("delta_left_rad", "delta_right_rad")
     texts = {
@@ -486,7 +486,11 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
         if effect is None:
             continue
         # in waves, a command that answers the motion seems to cause it
-        if effect.clear and effect.gain < 0.0 and _answers(recording, name) >= 0:
+        if not (effect.clear and effect.gain < 0.0):
+            continue
+        if _answers(recording, name) < 0:
+            doubtful = True
+        else:
             what += f", which explains {effect.share:.0%} of its turning"
             found.append(Finding(ERROR, code, what, remedy, effect._asdict()))
     left, right = yaw.get("left"), yaw.get("right")
@@ -504,7 +508,7 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
                         {"gain": dead.gain, "other_gain": other.gain, "sd": dead.sd},
                     )
                 )
-    if not any(effect.clear for effect in yaw.values()):
+    if doubtful or not any(effect.clear for effect in yaw.values()):
         found.append(
             Finding(
                 NOTE,

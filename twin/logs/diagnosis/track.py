@@ -269,7 +269,9 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
         return []
     offset = fit.offset if fit.along >= _MIRROR else fit.steady
     if abs(offset) > _ASTERN:
-        return [_reversed(recording, plain, fit, commands)] if fit.along >= _MIRROR else []
+        # one thruster with a wrong sign also turns the total thrust
+        sure = fit.along >= _MIRROR or (fit.along > 0.0 and abs(plain.steady) > _ASTERN)
+        return [_reversed(recording, plain, fit, commands)] if sure else []
     few = fit.headings >= 0.5
     bound = _OFFSET_STRAIGHT if few else _OFFSET_ROUND
     seen = fit.along >= _MIRROR and abs(fit.offset) > bound + 3.0 * fit.offset_sd
