@@ -28,14 +28,14 @@ _OFFSET_STRAIGHT, _OFFSET_ROUND = math.radians(30.0), math.radians(12.0)
 """Leeway and current turn the track by less than this from the heading: on few headings, and
 where the log has all of them, rad."""
 
-_NO_LEEWAY = math.radians(40.0)
-"""No leeway and no current of a boat that steers turns the track by more than this, rad."""
+_NO_LEEWAY = math.radians(45.0)
+"""Leeway and current seldom turn the track of a boat that steers by more than this, rad."""
 
 _MIRROR = 0.7
 """A mean resultant length above this is one direction."""
 
-_CURRENT = 0.5
-"""A current is about this share of the speed, or less."""
+_CURRENT, _DRIFT = 0.5, 1.0
+"""A current is about this share of the speed, or less; and of the speed of one that drifts."""
 
 _ASTERN = math.radians(150.0)
 """A boat goes astern where its track is farther than this from the heading, rad."""
@@ -46,8 +46,8 @@ _STRAIGHT = 0.995
 SURE, _LIKELY = 4.0, 1.0
 """Log-odds from which a mirrored track is sure, and from which it is likely."""
 
-_NEVER_LESS = 1e-4
-"""A mean square that is left is never taken to be less: no heading is as good as a hundredth."""
+_NEVER_LESS = 0.05**2
+"""A mean square that is left counts as no less: waves and leeway bend any track by .05 rad."""
 
 _EXPLAINED = 0.75
 """A track that leaves more than this share of its speed unexplained tells nothing."""
@@ -161,28 +161,30 @@ class _Along(NamedTuple):
     square: float
     """Mean square that is left, of that of the velocity."""
     current: float
-    """Of the root mean square speed."""
+    """Of the root mean square speed, over what is likely."""
     angle: float
     """From the heading, rad."""
     independent: float
     """Samples that are independent."""
 
 
-def _along(velocity: npt.NDArray[Any], ahead: npt.NDArray[Any]) -> _Along:
-    """Return how a velocity goes along a heading, with a small constant current."""
+def _along(
+    velocity: npt.NDArray[Any], ahead: npt.NDArray[Any], current: float = _CURRENT
+) -> _Along:
+    """Return how a velocity goes along a vector ahead, with a constant current of about a size."""
     power = float((np.abs(velocity) ** 2).mean())
-    A = np.column_stack([np.abs(velocity) * ahead, np.ones_like(ahead)])
+    A = np.column_stack([ahead, np.ones_like(ahead)])
     normal, right = A.conj().T @ A, A.conj().T @ velocity
     fit = np.linalg.lstsq(A, velocity, rcond=None)[0]
     square = float((np.abs(velocity - A @ fit) ** 2).mean())
-    normal[1, 1] += square / (_CURRENT**2 * power)
+    normal[1, 1] += square / (current**2 * power)
     fit = np.linalg.lstsq(normal, right, rcond=None)[0]
     left = velocity - A @ fit
     total = float((np.abs(left) ** 2).sum())
     alike = min(abs(complex(left[1:] @ left[:-1].conj())) / max(total, 1e-300), 1.0)
     return _Along(
         max(total / len(left) / power, _NEVER_LESS),
-        float(abs(fit[1])) / math.sqrt(power),
+        float(abs(fit[1])) / math.sqrt(power) / current,
         float(np.angle(fit[0])),
         len(left) * (1.0 - alike) / (1.0 + alike),
     )
@@ -192,17 +194,26 @@ def _odds(
     velocity: npt.NDArray[Any], astern: npt.NDArray[np.bool_], psi: Array
 ) -> tuple[float, float, float, float]:
     """Return log-odds of a heading against its mirror image, what both leave, and the angle."""
-    sign = np.where(astern, -1.0, 1.0)
+    sign, speed = np.where(astern, -1.0, 1.0), np.abs(velocity)
     ways_on = (sign, np.ones_like(sign)) if astern.any() else (sign,)
     plain, mirrored = (
-        min(_along(velocity, each * np.exp(1j * turn * psi)) for each in ways_on)
+        min(_along(velocity, each * speed * np.exp(1j * turn * psi)) for each in ways_on)
         for turn in (1.0, -1.0)
     )
-    count = min(plain, mirrored).independent
-    odds = count * math.log(mirrored.square / plain.square)
-    odds += (mirrored.current**2 - plain.current**2) / (2.0 * _CURRENT**2)
-    steady = _along(velocity, sign * np.exp(1j * psi)).angle
+    odds = _log_odds(plain, mirrored)
+    # a boat whose speed through the water is constant may drift as fast as it goes
+    drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
+    if abs(drifting.angle) < 0.5 * math.pi:
+        odds = max(odds, _log_odds(drifting, mirrored))
+    steady = _along(velocity, sign * speed * np.exp(1j * psi)).angle
     return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady
+
+
+def _log_odds(first: _Along, second: _Along) -> float:
+    """Return the logarithm of how much more likely the first explanation is than the second."""
+    count = min(first, second).independent
+    odds = count * math.log(second.square / first.square)
+    return odds + 0.5 * (second.current**2 - first.current**2)
 
 
 def _offset_in_current(speed: Array, course: Array, psi: Array) -> float:
@@ -245,10 +256,11 @@ def check_track(
     fit = compass_on_track(fix, compass, thrust(recording))
     if plain is None or fit is None:
         return []
-    if fit.odds < -_LIKELY and fit.left_mirrored < _EXPLAINED:
+    told = fit.left_mirrored < _EXPLAINED and fit.headings < _STRAIGHT
+    if fit.odds < -_LIKELY and told:
         return [_mirrored(recording, plain, fit, gyro, commands)]
     found = _off(recording, plain, fit, commands)
-    if not found and fit.odds < 0.0 and fit.left_mirrored < _EXPLAINED and fit.headings < _STRAIGHT:
+    if not found and fit.odds < 0.0 and told:
         found.append(
             Finding(
                 NOTE,
@@ -286,8 +298,8 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
         remedy = "current, leeway, or the compass: more headings would tell"
     elif few or not seen:
         remedy = (
-            "no leeway is so large: the compass is off (offset in a mapping), or the fixes have "
-            "north and east swapped or mirrored; a log with turns tells which"
+            "leeway is seldom so large: the compass is off (offset in a mapping), or north and "
+            "east of the fixes are swapped or mirrored; a log with turns tells which"
         )
     else:
         remedy = f"offset = {offset:.3f} in a mapping (magnetic variation, or a sensor askew)"
