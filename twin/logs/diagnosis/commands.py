@@ -141,18 +141,18 @@ def _by_particulars(name: str, seen: Array, particulars: Particulars | None) -> 
     if particulars is None or SHARE in name:
         return []
     turning = np.abs(seen[seen != 0.0])
-    usual, most = float(np.quantile(turning, 0.95)), float(turning.max())
+    typical, most = float(np.quantile(turning, 0.95)), float(turning.max())
     stated = particulars.shaft_speed
-    evidence = {"usual": usual, "most": most, "stated": stated}
+    evidence = {"typical": typical, "most": most, "stated": stated}
     full = _SCALES.get(most)
     if full is not None and not 1.0 / _FULL < most / stated < _FULL:
         what = f"{name}: at most {most:g}, as {full} go, where the particulars say {stated:.3g}"
         remedy = "scale = ... in a mapping: rev/s at full throttle over this number"
         return [Finding(ERROR, "shaft-unit", what + " rev/s", remedy, evidence)]
-    if usual < _BEYOND * stated:
+    if typical < _BEYOND * stated:
         return []
     what = (
-        f"{name}: up to {usual:.4g} rev/s, {usual / stated:.2g} times what the particulars say "
+        f"{name}: up to {typical:.4g} rev/s, {typical / stated:.2g} times what the particulars say "
         f"({stated:.3g})"
     )
     remedy = (

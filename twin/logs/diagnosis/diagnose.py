@@ -270,7 +270,7 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
             signs = check_signs(mended, heading)
             unchecked = any(finding.code == "commands-unchecked" for finding in signs)
             commands += signs if unchecked else side + signs
-        found += commands + check_forces(clean)
+        found += commands + _without_spin(check_forces(clean), heading)
     first: dict[str, Finding] = {}
     for finding in _by_cause(found):
         first.setdefault(finding.code, finding)
@@ -305,6 +305,13 @@ def _of_own_cause(heading: list[Finding], tilt: list[Finding]) -> list[Finding]:
     if not named & {"gyro-swapped", "tilt-unit", "tilt-scale"}:
         return heading
     return [finding for finding in heading if not finding.code.startswith("gyro-")]
+
+
+def _without_spin(forces: list[Finding], heading: list[Finding]) -> list[Finding]:
+    """Return findings of forces without turns that a compass in degrees feigns."""
+    if not any(finding.code == "compass-degrees" for finding in heading):
+        return forces
+    return [finding for finding in forces if finding.code != "spin"]
 
 
 def _cells(recording: Recording) -> list[Finding]:

@@ -169,9 +169,10 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
         # in a steady turn, zero and scale of the gyro are one: most of it is scale
         power = math.sqrt(float((y**2).mean()))
         scale, both = float(x @ y) / float(x @ x), float((x * y).mean()) / max(size * power, 1e-300)
-        left = float(np.std(y - scale * x)) / math.sqrt(0.5 * len(x))
-        scale_sd, turned = math.hypot(_ZERO * window, left) / size, size
-        bias, bias_sd = 0.0, _ZERO
+        spread = float(np.std(y - scale * x)) / math.sqrt(0.5 * len(x))
+        scale_sd, turned = math.hypot(_ZERO * window, spread) / size, size
+        sure = abs(scale - 1.0) > _SURE * scale_sd
+        bias, bias_sd = (0.0, _ZERO) if sure else (float((y - x).mean()) / window, spread / window)
     return GyroFit(
         scale,
         scale_sd,
@@ -432,8 +433,8 @@ def _gyro(
     name, evidence = recording.called("gyro_radps"), fit._asdict()
     found = []
     clear = fit.turned > _SEEN * fit.blurred and abs(fit.correlation) > 0.8
-    doubt = max(_SURE * fit.scale_sd, _DEVIATION / max(fit.swing, 1e-9))
-    if clear and fit.scale < -_SURE * fit.scale_sd:
+    margin = max(_SURE * fit.scale_sd, _DEVIATION / max(fit.swing, 1e-9))
+    if clear and fit.scale < 0.0 and 1.0 - fit.scale > _SURE * fit.scale_sd:
         found.append(
             Finding(
                 ERROR,
@@ -454,7 +455,7 @@ def _gyro(
                 evidence,
             )
         )
-    elif clear and abs(times - 1.0) > max(_SCALE, doubt):
+    elif clear and abs(times - 1.0) > max(_SCALE, margin):
         found.append(
             Finding(
                 ERROR if not 0.5 < times < 2.0 else WARNING,

@@ -72,8 +72,8 @@ class Effect(NamedTuple):
     """Time over which it was seen, s."""
     swings: int = _SWINGS
     """How often the command went from one side to the other."""
-    count: int = 0
-    """Times at which it was seen."""
+    times: int = 0
+    """At which it was seen, this number."""
 
     @property
     def clear(self) -> bool:
@@ -86,7 +86,7 @@ class Effect(NamedTuple):
         """Logarithm of how much more likely the command makes the motion; 0 for a gain below 0."""
         if self.gain <= 0.0:
             return 0.0
-        return -0.5 * self.count * math.log(max(1.0 - self.share, 1e-9))
+        return -0.5 * self.times * math.log(max(1.0 - self.share, 1e-9))
 
 
 def _regress(
@@ -116,7 +116,7 @@ def _regress(
         share = 1.0 - float(left @ left) / max(float(without @ without), 1e-300)
         sd = math.sqrt(max(float(cov[k, k]), 0.0))
         unit = scale[i] * horizon
-        effects.append(Effect(float(fit[k]) / unit, sd / unit, share, horizon, count=count))
+        effects.append(Effect(float(fit[k]) / unit, sd / unit, share, horizon, times=count))
     return effects
 
 
@@ -392,12 +392,13 @@ def _one_side(recording: Recording) -> Finding | None:
 
     one = {"left": explained(-1.0, 1.0), "right": explained(1.0, -1.0)}
     name, (best, share) = max(one.items(), key=lambda item: item[1][0])
-    rivals = [value[0] for key, value in one.items() if key != name]
-    rivals += [explained(*signs)[0] for signs in ((1.0, 1.0), (-1.0, -1.0))]
-    rivals += [explained(1.0, 1.0, -1.0)[0], explained(-1.0, -1.0, -1.0)[0]]
+    others = [value[0] for key, value in one.items() if key != name]
+    # sound, both signs wrong, sides swapped, the compass back to front
+    others += [explained(*signs)[0] for signs in ((1.0, 1.0), (-1.0, -1.0))]
+    others += [explained(1.0, 1.0, -1.0)[0], explained(-1.0, -1.0, -1.0)[0]]
     # two faults at once are less likely
-    rivals += [explained(*signs, -1.0)[0] - _BETTER for signs in ((-1.0, 1.0), (1.0, -1.0))]
-    if share < _SHARE or best < max(rivals) + _BETTER:
+    others += [explained(*signs, -1.0)[0] - _BETTER for signs in ((-1.0, 1.0), (1.0, -1.0))]
+    if share < _SHARE or best < max(others) + _BETTER:
         return None
     # a thruster that does nothing has no sign
     own = 0 if name == "left" else 1
@@ -417,7 +418,7 @@ def _one_side(recording: Recording) -> Finding | None:
         f"{recording.called(f'n_{name}_rps')}: the {name} thruster pushes against its command, "
         f"which explains {share:.0%} of the motion",
         "turn the sign of this column alone: scale = -1.0 in a mapping file",
-        {"likelihood": best, "next": max(rivals)},
+        {"likelihood": best, "next": max(others)},
     )
 
 

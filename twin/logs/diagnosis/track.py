@@ -181,12 +181,12 @@ def _along(
     fit = np.linalg.lstsq(normal, right, rcond=None)[0]
     left = velocity - A @ fit
     total = float((np.abs(left) ** 2).sum())
-    alike = min(abs(complex(left[1:] @ left[:-1].conj())) / max(total, 1e-300), 1.0)
+    correlation = min(abs(complex(left[1:] @ left[:-1].conj())) / max(total, 1e-300), 1.0)
     return _Along(
         max(total / len(left) / power, _NEVER_LESS),
         float(abs(fit[1])) / math.sqrt(power) / current,
         float(np.angle(fit[0])),
-        len(left) * (1.0 - alike) / (1.0 + alike),
+        len(left) * (1.0 - correlation) / (1.0 + correlation),
     )
 
 
@@ -256,11 +256,11 @@ def check_track(
     fit = compass_on_track(fix, compass, thrust(recording))
     if plain is None or fit is None:
         return []
-    told = fit.left_mirrored < _EXPLAINED and fit.headings < _STRAIGHT
-    if fit.odds < -_LIKELY and told:
+    shown = fit.left_mirrored < _EXPLAINED and fit.headings < _STRAIGHT
+    if fit.odds < -_LIKELY and shown:
         return [_mirrored(recording, plain, fit, gyro, commands)]
     found = _off(recording, plain, fit, commands)
-    if not found and fit.odds < 0.0 and told:
+    if not found and fit.odds < 0.0 and shown:
         found.append(
             Finding(
                 NOTE,
