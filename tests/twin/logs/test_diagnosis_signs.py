@@ -108,7 +108,7 @@ def test_thrust_of_a_zigzag_with_the_wrong_sign_leaves_the_rudder_alone() -> Non
     assert errors(found_with(both_shafts, "kvlcc2_l7", "zigzag")) == ["thrust-sign"]
 
 
-def test_commands_are_not_judged_by_a_wrong_heading() -> None:
+def test_commands_are_not_blamed_for_a_wrong_heading() -> None:
     codes = [finding.code for finding in found_with(compass_from_east)]
     assert codes == ["track-mirrored", "commands-unchecked"]
 
