@@ -323,8 +323,8 @@ def check_signs(recording: Recording, heading: Collection[Finding] = ()) -> list
             Finding(
                 NOTE,
                 "commands-unchecked",
-                "signs and sides of the commands show against the heading, which is at fault",
-                "mend the heading first, then check again",
+                "signs and sides of the commands are not checked: heading or track are at fault",
+                "mend that first, then check again",
             )
         ]
     if any(finding.code == "thrust-sign" for finding in heading):
