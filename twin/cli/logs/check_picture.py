@@ -19,10 +19,10 @@ from twin.benchmark.figures.style import (
     set_ticks,
     set_title,
 )
-from twin.logs.diagnosis.commands import speed_of
 from twin.logs.diagnosis.diagnose import Diagnosis
 from twin.logs.diagnosis.findings import Recording
 from twin.logs.diagnosis.signals import ENOUGH, integrated, sampled
+from twin.logs.diagnosis.signs import speed_of
 from twin.logs.diagnosis.timing import SENSORS
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from twin.logs.diagnosis.attitude import (
     unchecked_axes,
     upright,
 )
-from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
+from twin.logs.diagnosis.commands import check_commands
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
@@ -31,6 +31,7 @@ from twin.logs.diagnosis.position import (
     velocity_on_fixes,
 )
 from twin.logs.diagnosis.signals import ENOUGH, Lag, white_noise
+from twin.logs.diagnosis.signs import Effect, check_each_side, check_signs, turned_by, yaw_effects
 from twin.logs.diagnosis.timing import check_timing, sensor_rates
 from twin.logs.diagnosis.track import TrackFit, compass_on_track, thrust
 from twin.particulars import Particulars
@@ -51,6 +52,37 @@ _TILT_NOISE = {
     "height_m": ("gps_z_m",),
     "climb_mps": ("gps_vz_mps",),
 }
+
+
+_CAUSES = (
+    "time-empty",
+    "time-back",
+    "time-unit",
+    "position-degrees",
+    "compass-degrees",
+    "compass-reversed",
+    "track-mirrored",
+)
+"""What other findings follow from, in this order."""
+
+_NO_SIGN = {"commands-missing", "shaft-pwm"}
+"""Faults of commands that leave nothing to tell their signs by."""
+
+_OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
+"""Findings that a wrong unit of time feigns."""
+
+_TIMELESS = {
+    "too-short",
+    "sensor-empty",
+    "sensor-dead",
+    "infinite",
+    "command-empty",
+    "position-degrees",
+    "compass-degrees",
+    "angle-degrees",
+    "shaft-pwm",
+}
+"""Findings that rest on no time."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +176,13 @@ def without_jumps(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def without_fixes(recording: Recording) -> Recording:
+    """Return a recording without positions."""
+    z = recording.z.copy()
+    z[:, :2] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def measure(recording: Recording) -> Measured:
     """Return what the sensors of a log are like.
 
@@ -205,14 +244,20 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     Diagnosis
     """
     found = _cells(recording) + check_timing(recording)
-    clean = without_jumps(recording)
+    position = check_position(recording)
+    kept = clean = without_jumps(recording)
+    if any(finding.code == "position-degrees" for finding in position):
+        # ways in degrees would blame the commands
+        clean = without_fixes(recording)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         tilt = check_attitude(clean, particulars)
         # roll and pitch that are sound are taken out of the other sensors
         level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
         measured = dataclasses.replace(measure(level), unchecked=unchecked_axes(clean, particulars))
-        heading = check_heading(level)
-        found += check_position(recording) + _of_own_cause(heading, tilt) + tilt
+        side, mended = check_each_side(clean)
+        headed = dataclasses.replace(level, cmd=mended.cmd)
+        heading = check_heading(headed, turned_by(mended))
+        found += position + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
         if any("gain" in finding.evidence for finding in tilt):
             moved = []  # faults of axes explain what they show
@@ -220,12 +265,38 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
         found += moved
-        found += check_commands(clean, particulars) + check_forces(clean)
+        commands = check_commands(clean, particulars)
+        if not any(finding.code in _NO_SIGN for finding in commands):
+            signs = check_signs(mended, heading)
+            unchecked = any(finding.code == "commands-unchecked" for finding in signs)
+            commands += signs if unchecked else side + signs
+        found += commands + _without_spin(check_forces(clean), heading)
     first: dict[str, Finding] = {}
-    for finding in found:
+    for finding in _by_cause(found):
         first.setdefault(finding.code, finding)
-    order = sorted(first.values(), key=lambda finding: SEVERITIES.index(finding.severity))
-    return Diagnosis(clean, measured, tuple(order))
+    order = sorted(first.values(), key=_rank)
+    return Diagnosis(kept, measured, tuple(order))
+
+
+def _rank(finding: Finding) -> tuple[int, int]:
+    """Return the place of a finding: severe ones first, and a cause before what follows from it."""
+    before = _CAUSES.index(finding.code) if finding.code in _CAUSES else len(_CAUSES)
+    return SEVERITIES.index(finding.severity), before
+
+
+def _by_cause(found: list[Finding]) -> list[Finding]:
+    """Return findings without those that a wrong unit of time explains."""
+    codes = {finding.code for finding in found}
+    if "time-unit" not in codes or not codes & _OF_RATES:
+        return found
+    left = []
+    for finding in found:
+        if finding.code == "time-unit":
+            remedy = f"{finding.remedy}; all rates and speeds rest on it, so check again then"
+            left.append(dataclasses.replace(finding, severity=ERROR, remedy=remedy))
+        elif finding.code in _TIMELESS or finding.code.startswith("time-"):
+            left.append(finding)
+    return left
 
 
 def _of_own_cause(heading: list[Finding], tilt: list[Finding]) -> list[Finding]:
@@ -234,6 +305,13 @@ def _of_own_cause(heading: list[Finding], tilt: list[Finding]) -> list[Finding]:
     if not named & {"gyro-swapped", "tilt-unit", "tilt-scale"}:
         return heading
     return [finding for finding in heading if not finding.code.startswith("gyro-")]
+
+
+def _without_spin(forces: list[Finding], heading: list[Finding]) -> list[Finding]:
+    """Return findings of forces without turns that a compass in degrees feigns."""
+    if not any(finding.code == "compass-degrees" for finding in heading):
+        return forces
+    return [finding for finding in forces if finding.code != "spin"]
 
 
 def _cells(recording: Recording) -> list[Finding]:

@@ -21,7 +21,7 @@ from twin.logs.diagnosis.signals import (
     white_noise,
 )
 from twin.logs.diagnosis.timing import STALE, stale_spans
-from twin.logs.diagnosis.track import check_track, compass_on_track
+from twin.logs.diagnosis.track import SURE, check_track, compass_on_track, thrust
 
 __all__ = [
     "DEGREE",
@@ -47,8 +47,17 @@ _LATE = 2.0
 _LAG_GAIN = 1.4
 """A lag is one if without it so many times as much is left unexplained."""
 
-_LEAST_TURN = 0.05
-"""Turns over a window that spread by less, rad, tell nothing of scale and sign."""
+_QUICK = 0.05
+"""Turns over a window that spread by less, rad, tell nothing of a delay."""
+
+_SEEN, _SURE = 3.0, 4.0
+"""Turns are seen from so many times the noise on; a scale is sure within so many of its sd."""
+
+_ZERO = 0.02
+"""Zero of a gyro that a steady turn cannot tell from its scale, rad/s."""
+
+_DEVIATION = math.radians(4.0)
+"""A compass is off by about this from heading to heading, rad: on few headings that is scale."""
 
 _SCALE, _BIAS, _LAG = 0.1, 0.01, 0.15
 """Errors of a gyro that are worth a word: of scale, of zero (rad/s), of time (s)."""
@@ -77,7 +86,11 @@ class GyroFit(NamedTuple):
     correlation: float
     """Of the turns over windows."""
     turned: float
-    """Standard deviation of these turns, rad."""
+    """Standard deviation of these turns, rad; of a steady turn, their root mean square ..."""
+    blurred: float
+    """... and what the noise of both adds to one."""
+    swing: float
+    """Standard deviation of the heading, rad."""
     disagree: float
     """Standard deviation of gyro less compass over half a second, rad/s ..."""
     expected: float
@@ -146,15 +159,30 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     )
     bad = int(np.argmax(np.where(rough > _DISAGREE_SHARE * turning, rough, 0.0)))
     noise = math.hypot(math.sqrt(2.0) * compass_noise / short, gyro_noise / math.sqrt(short))
+    # noise of a gyro in degrees is in degrees too
+    own = gyro_noise * math.sqrt(window) / max(abs(scale), 1.0)
+    blurred = math.hypot(math.sqrt(2.0) * compass_noise, own)
     both = float(np.corrcoef(x, y)[0, 1]) if min(np.std(x), np.std(y)) > 0.0 else 0.0
+    bias, bias_sd = bias / window, 1.5 * line.offset_sd / window
+    turned, size = float(np.std(x)), math.sqrt(float((x**2).mean()))
+    if turned < _SEEN * blurred < size:
+        # in a steady turn, zero and scale of the gyro are one: most of it is scale
+        power = math.sqrt(float((y**2).mean()))
+        scale, both = float(x @ y) / float(x @ x), float((x * y).mean()) / max(size * power, 1e-300)
+        spread = float(np.std(y - scale * x)) / math.sqrt(0.5 * len(x))
+        scale_sd, turned = math.hypot(_ZERO * window, spread) / size, size
+        sure = abs(scale - 1.0) > _SURE * scale_sd
+        bias, bias_sd = (0.0, _ZERO) if sure else (float((y - x).mean()) / window, spread / window)
     return GyroFit(
         scale,
         scale_sd,
-        bias / window,
-        1.5 * line.offset_sd / window,
+        bias,
+        bias_sd,
         late,
         both,
-        float(np.std(x)),
+        turned,
+        blurred,
+        float(np.std(psi)),
         float(np.std(known)) if len(known) else math.nan,
         noise,
         float(rough[bad]),
@@ -265,10 +293,20 @@ def compass_in_degrees(
     return ""
 
 
-def check_heading(recording: Recording) -> list[Finding]:
-    """Return what is wrong with compass and gyro, by each other and by the track."""
+def check_heading(recording: Recording, commands: int = 0) -> list[Finding]:
+    """Return what is wrong with compass and gyro, by each other and by the track.
+
+    Parameters
+    ----------
+    recording : Recording
+        To be checked.
+    commands : int
+        1 where the commands turn the boat as the compass says, -1 against it, 0 where they do not
+        tell.
+    """
     at, values = recording.samples("compass_rad")
     compass = at, values[:, 0]
+    t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
     t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
     t_gyro, rates = recording.samples("gyro_radps")
     gyro = t_gyro, rates[:, 0]
@@ -281,8 +319,33 @@ def check_heading(recording: Recording) -> list[Finding]:
         compass = at, DEGREE * compass[1]
     steps = _steps(recording, compass)
     fit = gyro_on_compass(*compass, *gyro)
-    found += steps + _gyro(recording, fit, _as_logged(recording), bool(steps))
-    return found + check_track(recording, (t_fix, fix), compass)
+    by_gyro = _gyro(recording, fit, _as_logged(recording), bool(steps))
+    against = [finding for finding in by_gyro if finding.code == "gyro-sign"]
+    sees = fit is not None and fit.turned > _SEEN * fit.blurred and fit.correlation > 0.8
+    track = check_track(recording, (t_fix, fix), compass, -1 if against else int(sees), commands)
+    mirrored = any(finding.code == "track-mirrored" for finding in track)
+    if against and (mirrored or (commands < 0 and not _is_plain(recording, compass))):
+        # two against one: the compass is the one that is wrong
+        by_gyro = [] if mirrored else [_compass_sign(recording, against[0])]
+    return found + steps + by_gyro + track
+
+
+def _is_plain(recording: Recording, compass: tuple[Array, Array]) -> bool:
+    """Return whether the track turns as a compass does."""
+    fit = compass_on_track(recording.samples("gps_x_m", "gps_y_m"), compass, thrust(recording))
+    return fit is not None and fit.odds > SURE
+
+
+def _compass_sign(recording: Recording, against: Finding) -> Finding:
+    """Return the finding about a compass that turns against gyro and commands."""
+    return Finding(
+        ERROR,
+        "compass-sign",
+        f"{recording.called('compass_rad')}: the compass turns against the gyro and the commands",
+        'turn its sign: the heading runs clockwise from north (frame = "enu" in a mapping for one '
+        "that runs from east); then check again",
+        against.evidence,
+    )
 
 
 def _dead(recording: Recording) -> list[Finding]:
@@ -369,8 +432,9 @@ def _gyro(
         return []
     name, evidence = recording.called("gyro_radps"), fit._asdict()
     found = []
-    clear = fit.turned > max(_LEAST_TURN, 3.0 * fit.expected) and abs(fit.correlation) > 0.8
-    if clear and fit.scale < 0.0:
+    clear = fit.turned > _SEEN * fit.blurred and abs(fit.correlation) > 0.8
+    margin = max(_SURE * fit.scale_sd, _DEVIATION / max(fit.swing, 1e-9))
+    if clear and fit.scale < 0.0 and 1.0 - fit.scale > _SURE * fit.scale_sd:
         found.append(
             Finding(
                 ERROR,
@@ -391,7 +455,7 @@ def _gyro(
                 evidence,
             )
         )
-    elif clear and abs(times - 1.0) > max(_SCALE, 4.0 * fit.scale_sd):
+    elif clear and abs(times - 1.0) > max(_SCALE, margin):
         found.append(
             Finding(
                 ERROR if not 0.5 < times < 2.0 else WARNING,
@@ -412,7 +476,7 @@ def _gyro(
                 evidence,
             )
         )
-    if clear and abs(fit.lag) > _LAG:
+    if clear and fit.turned > _QUICK and abs(fit.lag) > _LAG:
         late = "gyro" if fit.lag > 0.0 else "compass"
         found.append(
             Finding(

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.logs.diagnosis.commands import speed_of
 from twin.logs.diagnosis.diagnose import Diagnosis
+from twin.logs.diagnosis.signs import speed_of
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
 
 __all__ = [

@@ -270,7 +270,8 @@ def check_position(recording: Recording) -> list[Finding]:
     if len(t) < ENOUGH:
         return []
     names = recording.called("gps_x_m", "gps_y_m")
-    degrees = _in_degrees(fix)
+    jumps = find_jumps(t, fix)
+    degrees = _in_degrees(fix if jumps is None else np.delete(fix, jumps.lost, axis=0))
     if degrees:
         return [
             Finding(
@@ -282,7 +283,6 @@ def check_position(recording: Recording) -> list[Finding]:
             )
         ]
     found = []
-    jumps = find_jumps(t, fix)
     if jumps is not None:
         lost = len(jumps.lost)
         found.append(
@@ -345,6 +345,10 @@ def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
 
 def _in_degrees(fix: Array) -> str:
     """Return why positions must be latitude and longitude, or nothing."""
+    # a receiver without satellites writes (0, 0): this is no place of the boat
+    fix = fix[fix.any(axis=1)]
+    if len(fix) < ENOUGH:
+        return ""
     middle, spread = np.abs(np.median(fix, axis=0)), np.ptp(fix, axis=0)
     small = spread.max() < 0.2 and spread.max() > 0.0
     if small and middle.max() > 100.0 * spread.max() and middle[0] <= 180.0 and middle[1] <= 180.0:

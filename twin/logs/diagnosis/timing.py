@@ -39,6 +39,10 @@ _OUTAGE_SAMPLES, _OUTAGE = 10.0, 2.0
 STALE = 0.5
 """Longest time over which a working sensor of a moving boat repeats itself to the last digit, s."""
 
+_LONG, _MISSED = 10.0, 0.2
+"""A yaw rate that stays the same for longer than this, s, while the compass turns by more than
+this besides, rad, stands still."""
+
 _JUMPS = {"fix": 2.0, "velocity": 0.3, "compass": 0.1, "gyro": 0.05, "accelerometers": 0.1}
 """Least jump of a sensor that goes on after it was frozen."""
 
@@ -307,7 +311,9 @@ def _frozen(
     jumped = [
         (i, j)
         for i, j in stands
-        if strict or (j < len(at) and float(np.hypot.reduce(values[j] - values[j - 1])) > least)
+        if strict
+        or (j < len(at) and float(np.hypot.reduce(values[j] - values[j - 1])) > least)
+        or (sensor == "gyro" and _missed(recording, at[i - 1], at[j - 1], values[i, 0]) > _MISSED)
     ]
     if not jumped:
         return []
@@ -324,3 +330,13 @@ def _frozen(
             {"longest_s": length[worst], "at_s": start, "times": float(len(jumped))},
         )
     ]
+
+
+def _missed(recording: Recording, start: float, end: float, rate: float) -> float:
+    """Return by how much the compass turns over a long time beyond a constant rate, rad."""
+    t, compass = recording.samples("compass_rad")
+    psi = np.unwrap(compass[:, 0])
+    within = (t >= start) & (t <= end)
+    if end - start < _LONG or within.sum() < ENOUGH:
+        return 0.0
+    return float(np.ptp(psi[within] - rate * t[within]))

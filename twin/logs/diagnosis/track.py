@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, sampled, ways
 
 __all__ = [
+    "SURE",
     "TrackFit",
     "check_track",
     "compass_on_track",
+    "compass_reversed",
     "thrust",
+    "thrust_sign",
 ]
 
 TURN = 2.0 * math.pi
@@ -24,15 +28,37 @@ _OFFSET_STRAIGHT, _OFFSET_ROUND = math.radians(30.0), math.radians(12.0)
 """Leeway and current turn the track by less than this from the heading: on few headings, and
 where the log has all of them, rad."""
 
+_NO_LEEWAY = math.radians(45.0)
+"""Leeway and current seldom turn the track of a boat that steers by more than this, rad."""
+
 _MIRROR = 0.7
 """A mean resultant length above this is one direction."""
+
+_CURRENT, _DRIFT = 0.5, 1.0
+"""A current is about this share of the speed, or less; and of the speed of one that drifts."""
+
+_ASTERN = math.radians(150.0)
+"""A boat goes astern where its track is farther than this from the heading, rad."""
+
+_STRAIGHT = 0.995
+"""Mean resultant length of the heading of a straight course."""
+
+SURE, _LIKELY = 4.0, 1.0
+"""Log-odds from which a mirrored track is sure, and from which it is likely."""
+
+_NEVER_LESS = 0.05**2
+"""A mean square that is left counts as no less: waves and leeway bend any track by .05 rad."""
+
+_EXPLAINED = 0.75
+"""A track that leaves more than this share of its speed unexplained tells nothing."""
 
 
 class TrackFit(NamedTuple):
     """How the track over ground goes with the heading."""
 
     along: float
-    """Mean resultant length of course less heading, weighted by the way; 1: one angle."""
+    """Mean resultant length of course less heading, weighted by the way; 1: one angle; 0 also
+    where few ways are long enough."""
     offset: float
     """That angle on a straight course, rad ..."""
     offset_sd: float
@@ -47,6 +73,15 @@ class TrackFit(NamedTuple):
     """Mean resultant length of the heading itself; 1: a straight line."""
     way: float
     """Length of the track that was compared, m."""
+    odds: float
+    """Logarithm of how much more likely the track is than its mirror image; see Notes of
+    :func:`compass_on_track`."""
+    left: float
+    """Share of the speed that heading and a constant current leave unexplained ..."""
+    left_mirrored: float
+    """... and that the mirrored heading leaves."""
+    steady: float
+    """Angle from heading to motion through the water, rad, where the current is a small one."""
 
 
 def compass_on_track(
@@ -65,6 +100,12 @@ def compass_on_track(
     thrust : tuple of ndarray, shape (K,), optional
         Times and what drives the boat, above 0 ahead. Where it is below 0 the boat is taken to
         go astern.
+
+    Notes
+    -----
+    The velocity over ground is a constant times speed along the heading, plus a constant current
+    that is small against the speed. ``odds`` compares the residuals of this fit with those for the
+    heading mirrored, by the number of independent ones, and the currents that each needs.
     """
     if len(fix[0]) < ENOUGH or len(compass[0]) < ENOUGH:
         return None
@@ -75,14 +116,19 @@ def compass_on_track(
     turned = (sampled(t, psi, middle + width) - sampled(t, psi, middle - width)) / step
     psi = averaged(t, psi, middle, step)
     ok = np.isfinite(length) & np.isfinite(psi) & np.isfinite(turned)
-    ok &= length > 0.2 * float(np.fmax.reduce(length, initial=1e-9))
+    # slow ways tell little: without enough others, only their turning is compared
+    fast = ok & (length > 0.2 * float(np.fmax.reduce(length, initial=1e-9)))
+    enough = bool(fast.sum() >= 8)
+    if enough:
+        ok = fast
     if ok.sum() < 8:
         return None
     length, course, psi, turned = length[ok], course[ok], psi[ok], turned[ok]
+    astern = np.zeros(len(course), dtype=np.bool_)
     if thrust is not None:
-        course = np.where(
-            averaged(*thrust, middle[ok] - width, step) < 0.0, course + math.pi, course
-        )
+        astern = averaged(*thrust, middle[ok] - width, step) < 0.0
+    velocity = length * np.exp(1j * course) / step
+    course = np.where(astern, course + math.pi, course)
 
     def mean(angle: Array) -> complex:
         return complex((length * np.exp(1j * angle)).sum() / length.sum())
@@ -97,15 +143,77 @@ def compass_on_track(
     # on a circle, leeway and offset are not separable
     circle = bent.mean() > 0.7 and abs(float(np.sign(curvature[bent]).mean())) > 0.6
     return TrackFit(
-        abs(along),
+        abs(along) if enough else 0.0,
         float(np.remainder(np.angle(along) + line.offset + math.pi, TURN) - math.pi),
         math.inf if circle else line.offset_sd,
         current,
-        abs(across),
+        abs(across) if enough else 0.0,
         float(np.angle(across)),
         abs(mean(psi)),
         float(length.sum()),
+        *_odds(velocity, astern, psi),
     )
+
+
+class _Along(NamedTuple):
+    """A velocity over ground as speed along a heading and a constant current."""
+
+    square: float
+    """Mean square that is left, of that of the velocity."""
+    current: float
+    """Of the root mean square speed, over what is likely."""
+    angle: float
+    """From the heading, rad."""
+    independent: float
+    """Samples that are independent."""
+
+
+def _along(
+    velocity: npt.NDArray[Any], ahead: npt.NDArray[Any], current: float = _CURRENT
+) -> _Along:
+    """Return how a velocity goes along a vector ahead, with a constant current of about a size."""
+    power = float((np.abs(velocity) ** 2).mean())
+    A = np.column_stack([ahead, np.ones_like(ahead)])
+    normal, right = A.conj().T @ A, A.conj().T @ velocity
+    fit = np.linalg.lstsq(A, velocity, rcond=None)[0]
+    square = float((np.abs(velocity - A @ fit) ** 2).mean())
+    normal[1, 1] += square / (current**2 * power)
+    fit = np.linalg.lstsq(normal, right, rcond=None)[0]
+    left = velocity - A @ fit
+    total = float((np.abs(left) ** 2).sum())
+    correlation = min(abs(complex(left[1:] @ left[:-1].conj())) / max(total, 1e-300), 1.0)
+    return _Along(
+        max(total / len(left) / power, _NEVER_LESS),
+        float(abs(fit[1])) / math.sqrt(power) / current,
+        float(np.angle(fit[0])),
+        len(left) * (1.0 - correlation) / (1.0 + correlation),
+    )
+
+
+def _odds(
+    velocity: npt.NDArray[Any], astern: npt.NDArray[np.bool_], psi: Array
+) -> tuple[float, float, float, float]:
+    """Return log-odds of a heading against its mirror image, what both leave, and the angle."""
+    sign, speed = np.where(astern, -1.0, 1.0), np.abs(velocity)
+    ways_on = (sign, np.ones_like(sign)) if astern.any() else (sign,)
+    plain, mirrored = (
+        min(_along(velocity, each * speed * np.exp(1j * turn * psi)) for each in ways_on)
+        for turn in (1.0, -1.0)
+    )
+    odds = _log_odds(plain, mirrored)
+    # a boat whose speed through the water is constant may drift as fast as it goes
+    drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
+    if abs(drifting.angle) < 0.5 * math.pi:
+        odds = max(odds, _log_odds(drifting, mirrored))
+    steady = _along(velocity, sign * speed * np.exp(1j * psi)).angle
+    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady
+
+
+def _log_odds(first: _Along, second: _Along) -> float:
+    """Return the logarithm of how much more likely the first explanation is than the second."""
+    count = min(first, second).independent
+    odds = count * math.log(second.square / first.square)
+    return odds + 0.5 * (second.current**2 - first.current**2)
 
 
 def _offset_in_current(speed: Array, course: Array, psi: Array) -> float:
@@ -127,7 +235,11 @@ def thrust(recording: Recording) -> tuple[Array, Array] | None:
 
 
 def check_track(
-    recording: Recording, fix: tuple[Array, Array], compass: tuple[Array, Array]
+    recording: Recording,
+    fix: tuple[Array, Array],
+    compass: tuple[Array, Array],
+    gyro: int = 0,
+    commands: int = 0,
 ) -> list[Finding]:
     """Return what is wrong with a compass that does not point where the boat goes.
 
@@ -137,75 +249,144 @@ def check_track(
         For its commands and the names of its columns.
     fix, compass : tuple of ndarray
         As for :func:`compass_on_track`.
+    gyro, commands : int
+        1 where they turn as the compass does, -1 against it, 0 where they do not tell.
     """
     plain = compass_on_track(fix, compass)
     fit = compass_on_track(fix, compass, thrust(recording))
     if plain is None or fit is None:
         return []
-    if plain.mirrored > _MIRROR and plain.mirrored > plain.along + 0.3:
-        return [_mirrored(recording, plain)]
-    if fit.along < _MIRROR:
+    shown = fit.left_mirrored < _EXPLAINED and fit.headings < _STRAIGHT
+    if fit.odds < -_LIKELY and shown:
+        return [_mirrored(recording, plain, fit, gyro, commands)]
+    found = _off(recording, plain, fit, commands)
+    if not found and fit.odds < 0.0 and shown:
+        found.append(
+            Finding(
+                NOTE,
+                "track-unknown",
+                f"{recording.called('gps_x_m', 'gps_y_m')}: track and compass agree no better than "
+                "with north and east swapped",
+                "this track cannot tell: record two full circles to have it checked",
+                fit._asdict(),
+            )
+        )
+    return found
+
+
+def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> list[Finding]:
+    """Return a finding where the track goes off to one side of the compass, or astern."""
+    off = fit.left < _EXPLAINED and abs(fit.steady) > _OFFSET_STRAIGHT
+    if fit.along < _MIRROR and not off:
         return []
-    name, evidence = recording.called("compass_rad"), fit._asdict()
-    degrees = math.degrees(fit.offset)
-    if abs(degrees) > 150.0:
-        return [_reversed(recording, plain, fit)]
-    bound = _OFFSET_ROUND if fit.headings < 0.5 else _OFFSET_STRAIGHT
-    if not abs(fit.offset) > bound + 3.0 * fit.offset_sd:
-        return []
-    if math.isfinite(fit.in_current) and fit.in_current * np.sign(fit.offset) < bound:
-        return []
+    offset = fit.offset if fit.along >= _MIRROR else fit.steady
+    if abs(offset) > _ASTERN:
+        # one thruster with a wrong sign also turns the total thrust
+        sure = fit.along >= _MIRROR or (fit.along > 0.0 and abs(plain.steady) > _ASTERN)
+        return [_reversed(recording, plain, fit, commands)] if sure else []
     few = fit.headings >= 0.5
-    remedy = (
-        "current, leeway, or the compass: more headings would tell"
-        if few
-        else f"offset = {fit.offset:.3f} in a mapping (magnetic variation, or a sensor askew)"
-    )
+    bound = _OFFSET_STRAIGHT if few else _OFFSET_ROUND
+    seen = fit.along >= _MIRROR and abs(fit.offset) > bound + 3.0 * fit.offset_sd
+    if math.isfinite(fit.in_current) and fit.in_current * np.sign(fit.offset) < bound:
+        seen = False
+    if not seen and not off:
+        return []
+    if not seen:
+        offset = fit.steady
+    far = abs(offset) > _NO_LEEWAY
+    if few and not far:
+        remedy = "current, leeway, or the compass: more headings would tell"
+    elif few or not seen:
+        remedy = (
+            "leeway is seldom so large: the compass is off (offset in a mapping), or north and "
+            "east of the fixes are swapped or mirrored; a log with turns tells which"
+        )
+    else:
+        remedy = f"offset = {offset:.3f} in a mapping (magnetic variation, or a sensor askew)"
+    degrees = math.degrees(offset)
     what = (
-        f"{name}: the track goes {abs(degrees):.0f} degrees to the "
+        f"{recording.called('compass_rad')}: the track goes {abs(degrees):.0f} degrees to the "
         f"{'right' if degrees > 0.0 else 'left'} of the compass"
         + (" on few headings" if few else "")
     )
-    return [Finding(NOTE if few else WARNING, "compass-offset", what, remedy, evidence)]
+    severity = WARNING if far or (seen and not few) else NOTE
+    return [Finding(severity, "compass-offset", what, remedy, fit._asdict())]
 
 
-def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit) -> Finding:
+def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> Finding:
     """Return the finding about a boat that goes astern where it is commanded ahead."""
-    if plain.along > _MIRROR and abs(plain.offset) < 0.5:
-        shafts = recording.called("n_left_rps", "n_right_rps")
-        return Finding(
-            ERROR,
-            "thrust-sign",
-            f"{shafts}: the boat goes ahead where the commands are astern",
-            "turn the sign of the shaft speeds: scale = -1.0 in a mapping file",
-            fit._asdict(),
-        )
+    ahead = plain.along > _MIRROR and abs(plain.offset) < 0.5
+    # a wrong sign of both shafts also turns their effect on the heading
+    if commands < 0 or (ahead and not commands):
+        return thrust_sign(recording, "the boat goes ahead where the commands are astern", fit)
+    return compass_reversed(
+        recording,
+        f"the boat goes {abs(math.degrees(fit.offset)):.0f} degrees from where it points, and is "
+        "not commanded astern",
+        fit,
+    )
+
+
+def thrust_sign(recording: Recording, what: str, fit: Any) -> Finding:
+    """Return the finding that shaft speeds have the wrong sign."""
+    return Finding(
+        ERROR,
+        "thrust-sign",
+        f"{recording.called('n_left_rps', 'n_right_rps')}: {what}",
+        "turn the sign of the shaft speeds (scale = -1.0 in a mapping file), or of the compass "
+        "(offset = 3.1416)",
+        fit._asdict(),
+    )
+
+
+def compass_reversed(recording: Recording, what: str, fit: Any) -> Finding:
+    """Return the finding that a compass sits back to front."""
     return Finding(
         ERROR,
         "compass-reversed",
-        f"{recording.called('compass_rad')}: the boat goes "
-        f"{abs(math.degrees(fit.offset)):.0f} degrees from where it points, and is not commanded "
-        "astern",
+        f"{recording.called('compass_rad')}: {what}",
         "the compass sits back to front (offset = 3.1416), or the shaft speeds have the wrong sign",
         fit._asdict(),
     )
 
 
-def _mirrored(recording: Recording, fit: TrackFit) -> Finding:
-    """Return the finding about a track that turns the other way than the compass."""
+def _mirrored(
+    recording: Recording, plain: TrackFit, fit: TrackFit, gyro: int, commands: int
+) -> Finding:
+    """Return the finding about a track that turns the other way than the compass.
+
+    Where the gyro, or the commands, turn as the track does, it is the compass; where they turn as
+    the compass does, it is the fixes. Compass and gyro of one device can be wrong together.
+    """
     fixes, name = recording.called("gps_x_m", "gps_y_m"), recording.called("compass_rad")
-    quarter = round(fit.mirror / (0.5 * math.pi)) % 4
-    reasons = {
-        0: f"{recording.called('gps_y_m')} or {name} has the wrong sign",
-        1: "north and east (latitude and longitude) are swapped, or the compass counts from east",
-        2: f"{recording.called('gps_x_m')} has the wrong sign, or the compass counts from south",
-        3: "north and east are swapped with a wrong sign, or the compass counts from west",
-    }
+    quarter = round(plain.mirror / (0.5 * math.pi)) % 4
+    north, east = recording.called("gps_x_m"), recording.called("gps_y_m")
+    of_fixes = {
+        0: f"{east} has the wrong sign",
+        1: "north and east (latitude and longitude) are swapped",
+        2: f"{north} has the wrong sign",
+        3: "north and east are swapped with a wrong sign",
+    }[quarter]
+    of_compass = {
+        0: f"{name} has the wrong sign",
+        1: "the compass counts from east",
+        2: "the compass counts from south",
+        3: "the compass counts from west",
+    }[quarter]
+    if gyro < 0 or (gyro == 0 and commands < 0):
+        reason = of_compass
+    elif commands < 0:
+        reason = f"{of_compass}, with the gyro"
+    elif commands > 0:
+        reason = of_fixes
+    else:
+        reason = f"{of_fixes}, or {of_compass}"
+    sure = fit.odds < -SURE
     return Finding(
-        ERROR,
+        ERROR if sure else WARNING,
         "track-mirrored",
-        f"{fixes}: the track turns against the compass: {reasons[quarter]}",
+        f"{fixes}: the track turns against the compass: {'' if sure else 'probably '}{reason}",
         "correct the mapping: x is north, y is east, the heading runs clockwise from north "
-        '(frame = "enu" for one that runs from east)',
+        '(frame = "enu" for one that runs from east); then check again',
         fit._asdict(),
     )
