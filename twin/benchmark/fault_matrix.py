@@ -70,7 +70,7 @@ class Trial(NamedTuple):
     wind: float = 4.5  # mean wind at 10 m, m/s
 
 
-USUAL = Trial()
+DEFAULT_TRIAL = Trial()
 
 
 class _Track(NamedTuple):
@@ -159,7 +159,7 @@ def fault_runs(
     seeds: Sequence[int],
     file: Path,
     *,
-    trial: Trial = USUAL,
+    trial: Trial = DEFAULT_TRIAL,
     jobs: int = 1,
 ) -> Iterator[tuple[int, int, list[FaultRun]]]:
     """Sail every fault with every predictor and seed; yield (done, all, results) after each.

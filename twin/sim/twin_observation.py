@@ -279,7 +279,7 @@ def _check_row(dt, boat, note, nav, filtered, model, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
     state = nav.n[:N_STATES]
-    if ready:
+    if ready and health.clock + dt >= health.current_due:
         write_current(filtered, model, health.current)
     check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
