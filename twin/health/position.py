@@ -18,6 +18,7 @@ from twin.health.evidence import (
 )
 from twin.health.state import (
     COMPASS_SENSOR,
+    DOUBTFUL,
     DRIFTS,
     EXCLUDED,
     FROZEN,
@@ -28,6 +29,7 @@ from twin.health.state import (
     NO_REASON,
     OK,
     RETURNING,
+    VELOCITY_FROZEN,
 )
 from usv_kernel.channels import GPS_VX, GPS_VY, GPS_X, GPS_Y
 from usv_kernel.jit import inlined, kernel
@@ -182,7 +184,8 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     health.travelled[0] = health.travelled[1] = health.fix_time = 0.0
     if not known or not ready:
         return
-    if T > GAP_MAX:
+    # what fixes and a repeated velocity disagree by is no fault of the fixes
+    if T > GAP_MAX or (gps.status == DOUBTFUL and gps.reason == VELOCITY_FROZEN):
         _begin_sum(health)
         _begin_pull(health)
         return

@@ -76,7 +76,7 @@ no interval."""
 
 REPEATED_TIME, REPEATED_INTERVALS, REPEATED_LONGEST = 2.0, 10.0, 5.0
 """An IMU that repeats itself for longer than this (s), than so many of its intervals and so many
-times its longest repetition is frozen, without any other sensor that says so."""
+times its longest repetition is frozen, without any other sensor that says so. So is a velocity."""
 
 STILL, KNOWN_TIME = 0.2, 20.0
 """Share of the nominal speed below which a boat may be at rest; and for how long (s) a sensor must
@@ -170,18 +170,20 @@ def _take_velocity(new, T, z, health, out):
     gps = health.sensors[GPS]
     if not (math.isfinite(out[GPS_VX]) and math.isfinite(out[GPS_VY])) or not new:
         return
-    if z[GPS_VX] == health.last[GPS_VX] and z[GPS_VY] == health.last[GPS_VY]:
+    # a receiver that holds still says that it does
+    moves = z[GPS_VX] != 0.0 or z[GPS_VY] != 0.0
+    if moves and z[GPS_VX] == health.last[GPS_VX] and z[GPS_VY] == health.last[GPS_VY]:
         health.velocity_repeated += T
     else:
         health.velocity_longest = max(
             health.velocity_longest * math.exp(-T / LONGEST_TIME), health.velocity_repeated
         )
         health.velocity_repeated = 0.0
-    frozen = health.velocity_repeated > max(
-        FROZEN_TIME, FROZEN_INTERVALS * gps.interval, FROZEN_LONGEST * health.velocity_longest
-    )
-    if frozen:
+    longest = FROZEN_LONGEST * health.velocity_longest
+    if health.velocity_repeated > max(FROZEN_TIME, FROZEN_INTERVALS * gps.interval, longest):
         out[GPS_VX] = out[GPS_VY] = math.nan
+    # said later than done: a coarse receiver repeats itself for a moment
+    if health.velocity_repeated > max(REPEATED_TIME, REPEATED_INTERVALS * gps.interval, longest):
         if gps.status == OK:
             set_status(health, GPS, DOUBTFUL, VELOCITY_FROZEN)
     elif gps.status == DOUBTFUL and gps.reason == VELOCITY_FROZEN:
