@@ -46,8 +46,8 @@ _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 MOTION_AHEAD, MOTION_STEP = float(HORIZONS[-1]), 0.05
 """How far roll, pitch and heave are forecast, and the finest step of a plan made for that, s."""
 
-LOST, LOST_SHOWN = "navigation was far off, and began again from the sensors", 10.0
-"""Said of a navigation filter that was lost, and for how long, s."""
+LOST, LOST_SHOWN = "navigation began again from the sensors: it or they were far off", 10.0
+"""Said of a navigation filter that took refused samples after all, and for how long, s."""
 
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""

@@ -291,7 +291,7 @@ class Predictor(ABC):
 
     @property
     def lost(self) -> bool:
-        """True after a row whose sensors showed that the navigation was lost, and began again."""
+        """True after a row from whose refused samples the navigation began again: it was lost."""
         return False
 
     def current(self) -> tuple[float, float, float] | None:
