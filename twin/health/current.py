@@ -22,8 +22,9 @@ from usv_kernel.jit import kernel
 
 __all__ = ["check_current"]
 
-LARGEST = 1.0
-"""A current above this is not plausible where no one has said so, m/s."""
+LARGEST = 4.0
+"""A current above so many changes that are not plausible is none either, where no one has said so:
+1 m/s for a boat whose class is known."""
 
 EVERY, FIRST = 5.0, 30.0
 """The current is looked at each so many seconds, from so many seconds on: it is first learned."""
@@ -55,7 +56,7 @@ def check_current(health, given):
             past[look, k] = past[look - 1, k]
     past[0, 0], past[0, 1], past[0, 2] = north, east, sd
     gps, reason = health.sensors[GPS], NO_REASON
-    if math.hypot(north, east) - SURE * sd > LARGEST:
+    if math.hypot(north, east) - SURE * sd > LARGEST * given.current_change:
         reason = LARGE_CURRENT
     elif health.clock < health.current_doubted:
         reason = CURRENT_CHANGES
