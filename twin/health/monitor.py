@@ -44,7 +44,7 @@ _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
 _CURRENT = slice(field_at(HEALTH, "current"), field_at(HEALTH, "current") + 3)
 
 _LATER = ("wind.", "turn", "current", "velocity_repeated", "velocity_longest", "sensors.in_use")
-"""Begin the names of fields that states saved by version 0.1 lack."""
+"""Begin the names of groups of fields that states saved by version 0.1 lack."""
 
 
 class SensorStatus(NamedTuple):
@@ -228,9 +228,11 @@ class SensorMonitor:
         views = self.views()
         blank = SensorMonitor.__new__(SensorMonitor)
         blank.remember(initial_health())
-        # saved before there were some of the checks
-        new = {k: v for k, v in blank.state_dict().items() if k.startswith(_LATER)}
-        state = new | state
+        # saved before there were some of the checks: then all fields of a group are missing
+        for group in _LATER:
+            if not any(name.startswith(group) for name in state):
+                new = {k: v for k, v in blank.state_dict().items() if k.startswith(group)}
+                state = new | state
         check_fields(state, views, FIELDS)
         fill(views, state)
 
