@@ -34,7 +34,6 @@ from twin.identification.prediction_error import (
     GOOD,
     LOW,
     MIDDLE,
-    NONE,
     WIND,
     drive,
     rk4_step,
@@ -74,10 +73,12 @@ SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 
 REFITS = len(TRUSTS)
 
-JOINT, PRIOR = REFITS, REFITS + 1
-"""Candidates that are no refits: the parameters of the joint filter, and the prior's."""
+PRIOR, JOINT, BLEND = REFITS, REFITS + 1, REFITS + 2
+"""Candidates that are no refits: the prior's parameters, those of the joint filter, and the mean of
+joint filter and refits, weighted by their records. Without a joint filter there is but the first.
+"""
 
-CANDIDATES = REFITS + 2
+CANDIDATES = REFITS + 3
 
 _TRUSTS = np.array(TRUSTS)
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
@@ -115,6 +116,9 @@ KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
 HEAD_START, FOLLOWS = 1.1, 0.5
 """Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
 trust leaves, from the trust before."""
+
+BLEND_BY = 3.0
+"""Logarithm of the weight that a lead of one margin gives in the blend."""
 
 TRUST_OF_JOINT = 10.0
 """Trust in the data that goes with the parameters of the joint filter."""
@@ -244,7 +248,13 @@ def _trust_of(candidate):
     """Return how far the data are trusted while a candidate is in use."""
     if candidate < REFITS:
         return max(_TRUSTS[candidate], 1.0)
-    return TRUST_OF_JOINT if candidate == JOINT else 1.0
+    return 1.0 if candidate == PRIOR else TRUST_OF_JOINT
+
+
+@inlined
+def _candidates(config):
+    """Return how many candidates there are."""
+    return CANDIDATES if config.joint == FIRST else PRIOR + 1
 
 
 @kernel
@@ -307,7 +317,7 @@ def score(first, rows, state, segments, config, model, work):
     if first <= count[ALARM]:
         return  # the short refits were others when it began
     count[SCORED] += 1.0
-    for r in range(CANDIDATES):
+    for r in range(_candidates(config)):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
         error = math.log(min(max(error, LEAST), MOST))
@@ -345,6 +355,49 @@ def is_stable(row, xi, bounds, model, work):
 
 
 @kernel
+def _blend(state):
+    """Write the mean of joint filter and refits, weighted by how much better each forecast."""
+    params, known, total = state.params, state.count[SCORED] >= ENOUGH, 0.0
+    for k in range(params.shape[1]):
+        params[BLEND, k] = 0.0
+    for r in range(CANDIDATES):
+        if r == PRIOR or r == BLEND:
+            continue
+        lead = (_lead(r, state.errors) if known else 0.0) + (1.0 if r == JOINT else 0.0)
+        weight = math.exp(BLEND_BY * lead)
+        total += weight
+        for k in range(params.shape[1]):
+            params[BLEND, k] += weight * params[r, k]
+    for k in range(params.shape[1]):
+        params[BLEND, k] /= total
+
+
+@inlined
+def _is_refused(candidate, refused):
+    """Return whether a candidate is among the refused ones, the bits of a number."""
+    return (refused >> np.uint64(candidate)) & np.uint64(1)
+
+
+@kernel
+def _best(refused, state, config):
+    """Return the candidate with the best record; -1 if all are refused.
+
+    The default is in use until another has proved better. The blend takes the joint filter's place
+    as soon as its record is better: most of it is the joint filter.
+    """
+    best, most = -1, -math.inf
+    default = JOINT if config.joint == FIRST else 0
+    for r in range(min(_candidates(config), BLEND)):
+        lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
+        if lead > most and not _is_refused(r, refused):
+            best, most = r, lead
+    if best == JOINT and not _is_refused(BLEND, refused):
+        if _lead(BLEND, state.errors) > _lead(JOINT, state.errors):
+            return BLEND
+    return best
+
+
+@kernel
 def select_trust(newest, row, bounds, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best candidate to use."""
     count, params, factors = state.count, state.params, state.factors
@@ -360,18 +413,12 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
             known = Known(_TRUSTS[r], since, state.pull, state.information)
         if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    # it is in use until another has proved better
-    default = JOINT if config.joint == FIRST else 0
-    refused = np.uint64(0) if config.joint != NONE else np.uint64(1) << np.uint64(JOINT)
+    if config.joint == FIRST:
+        _blend(state)
+    refused = np.uint64(0)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
-            chosen, most = -1, -math.inf
-            for r in range(CANDIDATES):
-                if (refused >> np.uint64(r)) & np.uint64(1):
-                    continue
-                lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
-                if lead > most:
-                    chosen, most = r, lead
+            chosen = _best(refused, state, config)
             if chosen < 0:
                 return
         if is_stable(row, params[chosen], bounds, model, work.line):

@@ -13,6 +13,7 @@ from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
 from twin.identification.data_weight import (
+    BLEND,
     CHOSEN,
     JOINT,
     SCORED,
@@ -389,7 +390,7 @@ def _refit(memory, config, work):
         place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, selector, segments, given, model, scratch)
-    if int(selector.count[CHOSEN]) == JOINT:
+    if int(selector.count[CHOSEN]) in (JOINT, BLEND):
         for i in range(p):
             for k in range(p):
                 segments.cov[i, k] = joint.P[N_STATES + i, N_STATES + k]
