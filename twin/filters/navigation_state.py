@@ -88,6 +88,9 @@ NAVIGATION = np.dtype(
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come
         ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
+        # the model alone, see twin.predictors.without_gps: time (s), u, v (m/s), place to north and
+        # east (m), and the number of such times so far
+        ("alone", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while GPS or compass are at fault and left out
     ]
@@ -99,7 +102,7 @@ NAVIGATION_FIELDS = {
     **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
     **dict.fromkeys(("commands_doubted", "motion_doubted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
-    **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
+    **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),
     "count": Field(low=0.0, high=2.0 * RING_ROWS, integer=True),
 }

@@ -361,7 +361,7 @@ def _blend(state):
     for k in range(params.shape[1]):
         params[BLEND, k] = 0.0
     for r in range(CANDIDATES):
-        if r == PRIOR or r == BLEND:
+        if r in (PRIOR, BLEND):
             continue
         lead = (_lead(r, state.errors) if known else 0.0) + (1.0 if r == JOINT else 0.0)
         weight = math.exp(BLEND_BY * lead)
@@ -391,9 +391,9 @@ def _best(refused, state, config):
         lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
         if lead > most and not _is_refused(r, refused):
             best, most = r, lead
-    if best == JOINT and not _is_refused(BLEND, refused):
-        if _lead(BLEND, state.errors) > _lead(JOINT, state.errors):
-            return BLEND
+    better = _lead(BLEND, state.errors) > _lead(JOINT, state.errors)
+    if best == JOINT and better and not _is_refused(BLEND, refused):
+        return BLEND
     return best
 
 

@@ -110,8 +110,6 @@ WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
 valid ones. Earlier residuals also hold what was not yet learned."""
 
-DRIFT_PART = 0.2
-
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
 
@@ -386,9 +384,6 @@ def _refit(memory, config, work):
     nominal = filter_config(config.filter, model).nominal
     for i in range(3):
         bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
-    if selector.count[SCORED] >= SEGMENTS_MIN:
-        place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
-        nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, selector, segments, given, model, scratch)
     if int(selector.count[CHOSEN]) in (JOINT, BLEND):
         for i in range(p):

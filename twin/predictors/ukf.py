@@ -53,7 +53,7 @@ from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
-from twin.predictors.without_gps import widen_without_gps
+from twin.predictors.without_gps import try_alone, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -294,6 +294,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         return
     correct(dt, cmd, nav, state, given, model, scratch)
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
+    try_alone(dt, nav, state, given, model, scratch.terms)
     widen_without_gps(dt, nav, state, given, model)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:

@@ -4,27 +4,76 @@ from __future__ import annotations
 
 import math
 
-from twin.channels import U, V
+from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.navigation_ekf import GAP_MAX, lacks_gps
-from twin.model.structure import CURRENT, N_STATES
+from twin.model.dynamics import drive, rates_over_ground
+from twin.model.rollout import GRID
+from twin.model.structure import CURRENT, N_STATES, current_of
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
-__all__ = ["widen_without_gps"]
+__all__ = ["try_alone", "widen_without_gps"]
 
 FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
 of its filter grow with that speed, and so does all that they leave unsure. What it leaves out,
 above all currents, does not."""
 
-MODEL_DRIFT, LASTING_SHARE = 0.02, 0.06
-"""Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
-of the variance of a rough model's own velocity does, of no more than the fastest seen."""
+MODEL_DRIFT, UNTRIED = 0.02, 0.1
+"""Error of the model's velocity that lasts without GPS, in nominal speeds: at least, and that of a
+rough model that has not been alone yet."""
 
-UNTURNED = 0.15
+ALONE, ALONE_KEPT, ALONE_PART = 40.0, 6, 0.5
+"""While fixes come, the model is also left alone, again and again for so many seconds. How far its
+way is then from the true one tells its error without GPS. The logarithms of so many squares are
+averaged, and this part of the mean goes to north and to east."""
+
+TINY = 1e-9
+"""Smallest of these squares, (m/s)2."""
+
+ALONE_FOR, ALONE_U, ALONE_V, ALONE_NORTH, ALONE_EAST, ALONE_COUNT = range(6)
+
+UNTURNED = 0.12
 """Standard deviation of the current along the course that a boat with a rough model has kept, in
 nominal speeds: while it turns to no other, a current and an error of drag or thrust look the same.
 Where it turns without GPS, the one leaves and the other goes with it."""
+
+
+@inlined
+def try_alone(dt, nav, state, given, model, terms):
+    """Let the model alone say how the boat moves, but for its heading; compare it with the fixes.
+
+    The actuators of ``state`` have followed the commands. ``terms`` is scratch.
+    """
+    n, alone, x = nav.n, nav.alone, state.x
+    doubted = nav.commands_doubted + nav.motion_doubted > 0.0
+    if nav.gps_age > GAP_MAX or dt > GAP_MAX or doubted or alone[ALONE_FOR] == 0.0:
+        alone[ALONE_FOR] = dt
+        alone[ALONE_U], alone[ALONE_V] = n[U], n[V]
+        alone[ALONE_NORTH], alone[ALONE_EAST] = n[X], n[Y]
+        return
+    drive(state.act, terms)
+    c, s = math.cos(n[PSI]), math.sin(n[PSI])
+    current = current_of(x, N_STATES, model.hull)
+    steps = max(1, math.ceil(dt / GRID - 1e-9))
+    h = dt / steps
+    for _ in range(steps):
+        u, v = alone[ALONE_U], alone[ALONE_V]
+        motion = u, v, n[R], c, s
+        du, dv, _ = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
+        for i, value in ((0, u + h * du), (1, v + h * dv)):
+            alone[ALONE_U + i] = min(max(value, -given.envelope[i]), given.envelope[i])
+        alone[ALONE_NORTH] += h * (u * c - v * s)
+        alone[ALONE_EAST] += h * (u * s + v * c)
+    alone[ALONE_FOR] += dt
+    if alone[ALONE_FOR] < ALONE:
+        return
+    north, east = alone[ALONE_NORTH] - n[X], alone[ALONE_EAST] - n[Y]
+    square = ALONE_PART * (north * north + east * east) / alone[ALONE_FOR] ** 2
+    alone[ALONE_FOR], count = 0.0, min(alone[ALONE_COUNT], ALONE_KEPT - 1.0)
+    alone[ALONE_COUNT] += 1.0
+    square, before = math.log(max(square, TINY)), math.log(max(nav.drift_var, TINY))
+    nav.drift_var = math.exp((count * before + square) / (count + 1.0))
 
 
 @inlined
@@ -40,8 +89,8 @@ def widen_without_gps(dt, nav, state, given, model):
     if given.rest_push < 1.0:  # rough: no population says what it leaves out
         length = given.envelope[0] / given.envelope[2]
         slowed = min(1.0, FROUDE_MOST**2 * GRAVITY * length / (speed * speed))
-        most = state.fastest[0] ** 2 + state.fastest[1] ** 2
-        lasting = max(lasting, slowed * LASTING_SHARE * min(P[U, U] + P[V, V], most))
+        if nav.alone[ALONE_COUNT] == 0.0:
+            lasting = max(lasting, slowed * (UNTRIED * speed) ** 2)
         _widen_by_turns(nav, math.sqrt(slowed) * speed)
     at = N_STATES + int(model.hull[CURRENT])
     for i in range(2):
