@@ -19,9 +19,9 @@ FROUDE_MOST = 0.2
 of its filter grow with that speed, and so does all that they leave unsure. What it leaves out,
 above all currents, does not."""
 
-MODEL_DRIFT, UNTRIED = 0.02, 0.1
-"""Error of the model's velocity that lasts without GPS, in nominal speeds: at least, and that of a
-rough model that has not been alone yet."""
+MODEL_DRIFT, LASTING_SHARE = 0.02, 0.045
+"""Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
+of the variance of a rough model's own velocity does, of no more than the fastest seen."""
 
 ALONE, ALONE_KEPT, ALONE_PART = 40.0, 6, 0.5
 """While fixes come, the model is also left alone, again and again for so many seconds. How far its
@@ -89,8 +89,8 @@ def widen_without_gps(dt, nav, state, given, model):
     if given.rest_push < 1.0:  # rough: no population says what it leaves out
         length = given.envelope[0] / given.envelope[2]
         slowed = min(1.0, FROUDE_MOST**2 * GRAVITY * length / (speed * speed))
-        if nav.alone[ALONE_COUNT] == 0.0:
-            lasting = max(lasting, slowed * (UNTRIED * speed) ** 2)
+        most = state.fastest[0] ** 2 + state.fastest[1] ** 2
+        lasting = max(lasting, slowed * LASTING_SHARE * min(P[U, U] + P[V, V], most))
         _widen_by_turns(nav, math.sqrt(slowed) * speed)
     at = N_STATES + int(model.hull[CURRENT])
     for i in range(2):

@@ -183,3 +183,22 @@ def test_boat_that_has_changed_is_predicted_soon():
     # the rows of the window are a quarter of a second apart
     assert twin.predictor.selector.state.count[CHANGED] * GRID > 80.0
     assert abs(current_of(twin)[0][1] - 1.0) < 0.4
+
+
+def test_without_gps_a_model_that_errs_says_so() -> None:
+    """A current that is wrong by half a metre a second is tried while fixes come."""
+    log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=170.0, seed=1)
+    said = {}
+    for wrong in (0.0, 0.5):
+        twin = Twin(particulars_of(Vessel.load("otter")), "ukf")
+        at = twin.predictor.parameter_names.index("C_north")
+        for t, z, cmd in log.slice(0.0, 140.0):
+            twin.step(t, z, cmd)
+            if wrong > 0.0 and t > 20.0:
+                twin.predictor.ukf.xi[at] = wrong
+        for t, z, cmd in log.slice(140.05, 170.0):
+            z = z.copy()
+            z[GPS] = math.nan
+            twin.step(t, z, cmd)
+        said[wrong] = float(twin.estimate().sd[0])
+    assert said[0.5] > 2.0 * said[0.0]
