@@ -457,7 +457,7 @@ def with_entry(name, entry, value):
         ("ukf", ("filter.wind", lambda a: {"state.filter.wind.npy": np.zeros(3)}), "has shape"),
         ("ukf", ("filter.wind", lambda a: {"state.filter.wind.npy": None}), "is missing"),
         ("ukf", ("filter.more", lambda a: {"state.filter.more.npy": np.zeros(3)}), "is unknown"),
-        ("dsw-ukf-plus", with_entry("selector.count", 1, 9.0), "outside"),
+        ("dsw-ukf-plus", with_entry("selector.count", 1, 10.0), "outside"),
         ("dsw-ukf-plus", with_entry("window.halves", 0, 1e5), "ends at"),
         ("dsw-ukf-plus", with_entry("segments.first", 0, -2.0), "outside -1.0 to"),
     ],

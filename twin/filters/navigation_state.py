@@ -89,7 +89,7 @@ NAVIGATION = np.dtype(
         ("has_imu", "f8"),  # 1 once an IMU sample has come
         ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
         # the model alone, see twin.predictors.without_gps: time (s), u, v (m/s), place to north and
-        # east (m), and the number of such times so far
+        # east (m), and how many of the last such times were averaged
         ("alone", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while GPS or compass are at fault and left out

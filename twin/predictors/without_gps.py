@@ -60,9 +60,10 @@ def try_alone(dt, nav, state, given, model, terms):
     for _ in range(steps):
         u, v = alone[ALONE_U], alone[ALONE_V]
         motion = u, v, n[R], c, s
-        du, dv, _ = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
-        for i, value in ((0, u + h * du), (1, v + h * dv)):
-            alone[ALONE_U + i] = min(max(value, -given.envelope[i]), given.envelope[i])
+        rates = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
+        for i in range(2):
+            moved, most = alone[ALONE_U + i] + h * rates[i], given.envelope[i]
+            alone[ALONE_U + i] = min(max(moved, -most), most)
         alone[ALONE_NORTH] += h * (u * c - v * s)
         alone[ALONE_EAST] += h * (u * s + v * c)
     alone[ALONE_FOR] += dt
@@ -70,9 +71,10 @@ def try_alone(dt, nav, state, given, model, terms):
         return
     north, east = alone[ALONE_NORTH] - n[X], alone[ALONE_EAST] - n[Y]
     square = ALONE_PART * (north * north + east * east) / alone[ALONE_FOR] ** 2
-    alone[ALONE_FOR], count = 0.0, min(alone[ALONE_COUNT], ALONE_KEPT - 1.0)
-    alone[ALONE_COUNT] += 1.0
-    square, before = math.log(max(square, TINY)), math.log(max(nav.drift_var, TINY))
+    alone[ALONE_FOR], count = 0.0, min(max(alone[ALONE_COUNT], 0.0), ALONE_KEPT - 1.0)
+    alone[ALONE_COUNT] = count + 1.0
+    square = math.log(min(max(square, TINY), given.envelope[0] ** 2))
+    before = math.log(max(nav.drift_var, TINY))
     nav.drift_var = math.exp((count * before + square) / (count + 1.0))
 
 
