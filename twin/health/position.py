@@ -17,6 +17,7 @@ from twin.health.evidence import (
     typical_size,
 )
 from twin.health.state import (
+    ACCELEROMETERS,
     COMPASS_SENSOR,
     DOUBTFUL,
     DRIFTS,
@@ -28,6 +29,7 @@ from twin.health.state import (
     JUMPED,
     NO_REASON,
     OK,
+    RELEASED,
     RETURNING,
     VELOCITY_FROZEN,
 )
@@ -70,8 +72,11 @@ GATE, GATE_LOST = 0.05, 0.2
 with a trusted heading, and without."""
 
 LOST_TIME = 10.0
-"""After a GPS that gave garbage is left out for so long (s), its fixes are right if they follow
-their own velocity: dead reckoning began in the garbage."""
+"""After a GPS that gave garbage, or was drawn away, is left out for so long (s), its fixes are
+right if they follow their own velocity: dead reckoning began at a wrong place."""
+
+STEP_SURE = 3.0
+"""Standard deviations of a velocity's step that no acceleration explains."""
 
 CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
 """An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
@@ -135,6 +140,20 @@ def _reckon(dt, z, s, health):
 
 
 @inlined
+def _is_released(z, health, given):
+    """Return whether the velocity changes with a jump, though no accelerometer felt it.
+
+    So does a GPS that was drawn away, once it is right again. Other jumps leave the velocity right.
+    """
+    T = health.velocity_time
+    sd = math.sqrt(2.0) * given.doppler_sd + (given.accel_bias_sd + given.tilt) * T
+    step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
+    step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
+    felt = health.sensors[ACCELEROMETERS].status == OK and health.accel_gap == 0.0
+    return felt and math.hypot(step_x, step_y) > STEP_SURE * sd  # false for NaN
+
+
+@inlined
 def _readmit(z, T, size, pull, frozen, health, given):
     """Take the GPS back after it was near dead reckoning for a while."""
     gps = health.sensors[GPS]
@@ -155,7 +174,9 @@ def _readmit(z, T, size, pull, frozen, health, given):
     gps.calm = gps.calm + T if error < gate and follows else 0.0
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
     # dead reckoning is worth as much as the fixes from which it began
-    most = LOST_TIME if gps.reason == RETURNING else min(max(gps.in_use, LOST_TIME), GIVE_IN)
+    most = min(max(gps.in_use, LOST_TIME), GIVE_IN)
+    if gps.reason == RETURNING or gps.reason == RELEASED:
+        most = LOST_TIME
     lasting = lasted > most and gps.followed > CALM_LONG
     if gps.calm > CALM or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
@@ -207,7 +228,7 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     pull = _pull(step_x, step_y, T, health, given)
     if gps.status != EXCLUDED:
         if jumped:
-            exclude(health, GPS, JUMPED)
+            exclude(health, GPS, RELEASED if _is_released(z, health, given) else JUMPED)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
         elif (doppler or frozen) and is_fault(max(size / level, pull), 1.0, T, gps):
             exclude(health, GPS, FROZEN if frozen else DRIFTS)

@@ -59,6 +59,7 @@ REASONS = (
     "makes the current change faster than is plausible: its fixes may be drawn away",
     "repeats its velocity, which is not used",
     "has gone silent",
+    "jumped in place and velocity: it may have been drawn away until then",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -79,6 +80,7 @@ REASONS = (
     CURRENT_CHANGES,
     VELOCITY_FROZEN,
     SILENT,
+    RELEASED,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(

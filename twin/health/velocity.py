@@ -28,6 +28,7 @@ from twin.health.state import (
     LATE,
     NO_REASON,
     OK,
+    RELEASED,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY
 from usv_kernel.jit import inlined, kernel
@@ -115,6 +116,8 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     health.velocity_sum[1] *= factor
     if gps.status != EXCLUDED and accel.status != EXCLUDED:
         _find_fault(size, T, health, given)
+    elif gps.status == EXCLUDED and size > CLEAR * level:
+        gps.followed = 0.0  # the velocity of a GPS that is late follows its fixes too
     elif accel.status == EXCLUDED:
         consistent = size < CLEAR * level and not is_frozen(accel)
         accel.calm = accel.calm + T if consistent else 0.0
@@ -125,7 +128,8 @@ def _hold_against_accelerometers(dt, z, s, health, given):
 @inlined
 def _is_reference_lost(health):
     """Return whether heading or velocity are in doubt: the accelerometers cannot be checked."""
-    lost = health.sensors[GPS].status == EXCLUDED
+    gps = health.sensors[GPS]
+    lost = gps.status == EXCLUDED and gps.reason != RELEASED
     for sensor in (COMPASS_SENSOR, GYRO_SENSOR):
         lost = lost or health.sensors[sensor].status >= DOUBTFUL
     return lost

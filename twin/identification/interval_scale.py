@@ -4,7 +4,8 @@ Each segment that is over is forecast again from its first row, with the paramet
 then. A few more forecasts have parameters and velocities moved by one standard deviation, up or
 down. The signs are Walsh functions, whose products average to zero over 64 forecasts. So the mean
 square of the deviations is the claimed variance. Waves are left out, which makes it too small.
-Where the errors were smaller still, beyond chance, the intervals shrink.
+Where the errors were smaller still, the intervals shrink. As the errors are few, their size is
+uncertain: the factor is that of Student's t.
 
 Intervals never grow. An error larger than that of parameters and velocities comes from waves, and
 these have a model of their own.
@@ -49,8 +50,11 @@ MEMORY = 30.0
 MOVED = 4
 """Number of moved forecasts of a segment."""
 
-CHANCE = 2.0
-"""The share is taken as larger than it was by this many of its standard deviations."""
+STUDENT = (0.926, 0.863)
+"""Quantile of Student's t over that of the normal distribution, less one, for intervals of 90 %.
+These are its terms of first and second order in the inverse number of errors.
+
+Source: Abramowitz and Stegun 1964, 26.7.5."""
 
 FACTOR_MIN, SHARE_MAX = 0.1, 10.0
 """Least factor of an interval, and largest share of a single error."""
@@ -180,8 +184,8 @@ def _factor(point, channel, record, config):
     # segments overlap, so that their errors at longer times are less independent
     apart = min(1.0, config.spacing * POINTS / (config.steps * (point + 1.0)))
     many = max(min(record.compared, MEMORY) * apart, 1.0)
-    share = record.share[point, channel] * (1.0 + CHANCE * math.sqrt(2.0 / many))
-    return math.sqrt(min(max(share, FACTOR_MIN**2), 1.0))
+    student = 1.0 + STUDENT[0] / many + STUDENT[1] / many**2
+    return min(max(math.sqrt(record.share[point, channel]) * student, FACTOR_MIN), 1.0)
 
 
 @inlined
