@@ -5,7 +5,7 @@
 
 from twin.checkpoint import StateError
 from twin.digital_twin import Twin, TwinError, known_plan
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 from twin.particulars import Deck, Instruments, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor

@@ -239,6 +239,8 @@ def test_runs_of_other_boats_or_with_a_prior_are_refused(
     ):
         with pytest.raises(BoatPriorError, match=words):
             prior_of_runs([good, bad])
+    with pytest.raises(BoatPriorError, match="at least one"):
+        prior_of_runs([])
     with pytest.raises(BoatPriorError, match="no parameters"):
         prior_of_runs([Twin(boat, "persistence").predictor])
 

@@ -52,7 +52,7 @@ from twin.cli.common import (
 )
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.rosbag import is_bag
 from twin.parallel import check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError

@@ -32,7 +32,7 @@ from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.sockets import needed
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PredictorError, predictor_class

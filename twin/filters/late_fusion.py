@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import MEASUREMENTS, PSI, V
 from twin.checkpoint import Field, State, StateError, check_fields
-from twin.particulars import Instruments
+from twin.particulars import GRAVITY, Instruments
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GYRO
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
@@ -49,9 +49,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.81
-"""Acceleration of gravity, m/s2."""
 
 SAME_DT = 1e-9
 """Steps that differ by less, in s, share their matrices (times read from a file round)."""
@@ -120,7 +117,7 @@ class LateFusion:
 
     Attributes
     ----------
-    s : ndarray, shape (6,)
+    state : ndarray, shape (6,)
         Latest result (x, y, psi, u, v, r): m, m, rad, m/s, m/s, rad/s.
     fused : ndarray, shape (4,)
         Fused (x, y, vx, vy) in the earth frame, m and m/s ...

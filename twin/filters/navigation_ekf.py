@@ -18,21 +18,21 @@ constant error of heading and velocity.
 Where the accelerometers are missing, the accelerations of a model may be handed in; without
 one, velocities are held.
 
-No sample, besides NaN, is
+Rejected as samples, besides NaN, are
 
-- a number that no boat gives (:data:`SPEED_LIMIT` and others);
-- one further than :data:`GATE` standard deviations off. After many refusals in a row the filter
+- numbers that no boat gives (:data:`SPEED_LIMIT` and others);
+- those further than :data:`GATE` standard deviations off. After many refusals in a row the filter
   must be wrong: it restarts from that number. An acceleration is refused where it leaps from one
   row to the next;
-- a frozen one: all numbers of a sensor repeat to the last bit. Either it is stuck, or the log has
+- frozen ones: all numbers of a sensor repeat to the last bit. Either it is stuck, or the log has
   more rows than the sensor has samples. But a number may also stay because nothing moves, or
   because it is rounded. So once it has stayed for :data:`FROZEN_TIME`, a fix or heading that is
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
-A position that is taken counts by min(1, knee / q). There q is the square of what it is off, over
-the variance expected. A receiver's jump of some deviations then hardly pulls the velocity. Other
-numbers count in full: where gyro or accelerometers are at fault, they put the state right.
+Innovations of the position are weighted by min(1, knee / q), with q their normalised square. A
+receiver's jump of some deviations then hardly pulls the velocity. Other channels are not weighted:
+where gyro or accelerometers are at fault, these correct the state.
 
 The filter knows nothing of waves: what it says moves with them.
 
@@ -86,6 +86,7 @@ from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combin
 __all__ = [
     "Navigator",
     "aid",
+    "is_in_doubt",
     "is_ready",
     "lacks_gps",
     "lacks_imu",
@@ -222,6 +223,12 @@ def aid(nav, work, entry, value, variance):
 def lacks_gps(nav):
     """Return whether the navigation goes without fixes."""
     return nav.gps_age > LOST_AFTER
+
+
+@inlined
+def is_in_doubt(nav):
+    """Return whether checks hold sensors of the motion or the commands to be at fault."""
+    return nav.commands_doubted + nav.motion_doubted > 0.0
 
 
 @inlined

@@ -82,15 +82,15 @@ NAVIGATION = np.dtype(
         ("turned", "f8", 4),
         ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
         ("count", "f8"),  # entries of the ring so far
-        ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see navigation_ekf._present
+        ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see twin.filters.dead_reckoning
         ("lost", "f8"),  # 1 where a refused number was taken after all in this row
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come
         ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
-        # the model alone, see twin.predictors.without_gps: time (s), u, v (m/s), place to north and
-        # east (m), and how many of the last such times were averaged
-        ("alone", "f8", 6),
+        # open-loop trial of the model, see twin.predictors.without_gps: its time (s), u, v (m/s),
+        # place to north and east (m), and how many trials were averaged
+        ("trial", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while GPS or compass are at fault and left out
     ]

@@ -57,11 +57,12 @@ SUM_MAX = 15.0
 """Most levels that a sum holds on to: above what is a fault at once."""
 
 LEVEL_TIME, LEVEL_START = 120.0, 10.0
-"""Time constant of the levels, s. It grows from the second on, so that they are learned soon."""
+"""Time constant of the levels, and its first value, s: it grows with the clock, so that levels are
+learned soon."""
 
 LEVEL_SHARE = 0.1
-"""Most that one sample changes a level or bias; also what counts of a sum that is at odds, by
-which a fault would else become typical."""
+"""Largest weight of one sample in a level or bias; also the factor of that weight for a sum above
+:data:`CLEAR` levels, so that a fault is not learned as normal."""
 
 LEVEL_START_FACTOR, LEVEL_RANGE = 2.0, 5.0
 """A level begins at so many times its floor, and reaches at most so many times: beyond, a sensor

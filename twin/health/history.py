@@ -49,13 +49,14 @@ class HealthHistory:
     def reset(self) -> None:
         """Forget everything."""
         self._changes: list[_Change] = []
-        self._last: tuple[bytes, tuple[str, ...]] = b"", ()
+        self._last: tuple[bytes, tuple[tuple[str, str], ...]] = b"", ()
 
     def take(self, t: float, begin: float) -> None:
         """Note what changed in the row of time t; the first row was at ``begin``, s."""
         troubles = self._troubles() if self._troubles is not None else {}
         # bytes: this runs in every row
-        status = self._monitor.memory[_STATUS].tobytes(), tuple(troubles)
+        names = tuple((name, trouble[0]) for name, trouble in troubles.items())
+        status = self._monitor.memory[_STATUS].tobytes(), names
         if status != self._last:
             self._last = status
             found = self._monitor.statuses(begin)

@@ -182,6 +182,7 @@ def _readmit(z, T, size, pull, frozen, health, given):
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
         _begin_pull(health)
+        health.velocity_sum[0] = health.velocity_sum[1] = 0.0
 
 
 @kernel

@@ -152,10 +152,10 @@ def _robust(q, knee):
 
 @kernel
 def change_evidence(since, samples, state, config, work):
-    """Return the evidence that something changed before row ``since``.
+    """Return twice the log-likelihood ratio of a change at row ``since`` against none.
 
-    It is the logarithm, times two, of how much more likely changes make the segments from there
-    on, less the price of the changes; see :func:`quadratics_by_changes`, which comes first.
+    The prior's penalty on the size of the changes is taken off. :func:`quadratics_by_changes`
+    comes first.
     ``samples`` is the number of errors in a segment.
     """
     size, total, right = work.size, work.total, work.right

@@ -311,7 +311,7 @@ def _test_for_change(newest, state, segments, config, model, work):
 
 
 @kernel
-def score(first, rows, state, segments, config, model, work):
+def score(first, rows, state, config, model, work):
     """Compare what the refits predicted at a row with what came."""
     count, errors, worse = state.count, state.errors, 0.0
     if first <= count[ALARM]:
@@ -333,9 +333,9 @@ def score(first, rows, state, segments, config, model, work):
 
 @kernel
 def is_stable(row, xi, bounds, model, work):
-    """Return whether the motion from a row stays within bounds, held commands or none given.
+    """Return whether velocities are within bounds after :data:`STABLE_FOR` s of held commands.
 
-    From both sides of the row's velocities: a mode that grows needs something to grow from.
+    The motion starts on both sides of the row's velocities: a mode that grows needs a perturbation.
     """
     s = work.s
     stable = True
@@ -481,7 +481,7 @@ class TrustSelector:
 
     @property
     def chosen(self) -> int:
-        """The candidate in use: a refit, :data:`JOINT` or :data:`PRIOR`."""
+        """The candidate in use: a refit, :data:`PRIOR`, :data:`JOINT` or :data:`BLEND`."""
         return int(self.state.count[CHOSEN])
 
     def note(self, starts: Iterable[int]) -> None:
@@ -492,7 +492,7 @@ class TrustSelector:
     def score(self, first: int, rows: Array) -> None:
         """Compare what the refits predicted at a segment's first row with what came."""
         own = self.segments
-        score(first, rows, self.state, own.state, own.config, own.model, own.work)
+        score(first, rows, self.state, own.config, own.model, own.work)
 
     def solve(self, newest: int, row: Array, bounds: Array) -> None:
         """Refit with the trust in use and another in turn, and put the best of all to use."""

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.checkpoint import Field, State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
+from twin.particulars import GRAVITY
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "DynamicWindow",
     "WaveProxy",
     "adjustment_period",
+    "as_floats",
     "environment_index",
     "nonlinearity_index",
     "variable_part",
@@ -42,11 +44,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-
 ACCEL_MAX = 1e6
 """What an accelerometer says beyond this, m/s2, is not taken for a motion."""
-"""Acceleration of gravity, m/s2."""
 
 PERIOD_FORMS = ("continuous", "binary")
 """``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1."""
@@ -79,7 +78,7 @@ def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
     Source: Qu et al. 2025, Eq 37 as printed, with 1/3 over two terms.
     """
     total = 0.0
-    for values in map(_floats, (hs, vw)):
+    for values in map(as_floats, (hs, vw)):
         known = values[np.isfinite(values)]
         mean = abs(float(known.mean())) if known.size else 0.0
         if mean > 0.0:
@@ -334,6 +333,6 @@ class DynamicWindow:
         self.w_r = variable_part(self.V, self.S, self.base, self.cap)
 
 
-def _floats(values: ArrayLike) -> Array:
+def as_floats(values: ArrayLike) -> Array:
     """Return the values as an array of float64."""
     return np.asarray(values, dtype=np.float64)

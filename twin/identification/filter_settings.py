@@ -99,9 +99,9 @@ class FilterSettings:
     xi0: Array
     xi0_cov: Array
     n_unit: float  # shaft speeds are multiplied by this before they enter the model
-    # time (s) of a mean of how much the squared innovations of the velocities exceed their
-    # expectation. Then what that mean adds to the densities of measurement noise (s) and process
-    # noise (1/s). With zeros nothing is
+    # adaptation to waves: averaging time (s) of how much the squared innovations of the velocities
+    # exceed their expectation, and what that mean adds to the densities of measurement noise (s)
+    # and process noise (1/s); zeros switch it off
     waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # share of the velocities' process noise that is left at rest: 1 where waves and wind make it,
     # less where the model's error does, which grows with the forces
@@ -125,6 +125,10 @@ class FilterSettings:
                 raise FilterError(
                     f"{name} has shape {value.shape}; give finite numbers of shape {shape}"
                 )
+            if name not in ("xi0", "xi0_cov") and (value < 0.0).any():
+                raise FilterError(f"{name} has entries below 0: give variances, or densities")
+        if not 0.0 < self.n_unit < math.inf:
+            raise FilterError(f"n_unit = {self.n_unit} must be finite and above 0")
 
 
 def plain_settings(particulars: Particulars, model: str | None = None) -> FilterSettings:

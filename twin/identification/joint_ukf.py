@@ -111,10 +111,9 @@ class FilterWorkspace(NamedTuple):
     Q: Any  # (6, 6) process noise of the states for a step
     q_xi: Any  # (p,) that of the parameters
     R: Any  # (6, 6) measurement noise
-    terms: Any  # (58,) terms of the model
+    terms: Any  # (N_TERMS,) terms of the model
     accel: Any  # (7,) accelerations for the navigation; see ``navigate``
     mask: Any  # (6,) which states were measured
-    limit: Any  # (6,) factors of standard deviations
     rollout: Any  # of a rollout of one motion
     ahead: Any  # (6 + p,), (6 + p, 6 + p), (4,) mean, covariance and actuators of a forecast
     sigma: Any  # UKFWorkspace
@@ -185,7 +184,6 @@ def filter_workspace(work, p):
     terms, at = take(work, at, (N_TERMS,))
     accel, at = take(work, at, (N_MODELLED,))
     mask, at = take(work, at, (N_STATES,))
-    limit, at = take(work, at, (N_STATES,))
     scratch, at = take(work, at, (_ROLLOUT,))
     x, at = take(work, at, (n,))
     P, at = take(work, at, (n, n))
@@ -195,7 +193,7 @@ def filter_workspace(work, p):
     three, at = take(work, at, (points, width))
     four, at = take(work, at, (points, width))
     sigma = UKFWorkspace(one, two, three, four)
-    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, scratch, (x, P, act), sigma)
+    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, scratch, (x, P, act), sigma)
 
 
 @inlined
@@ -241,7 +239,7 @@ def scale_plan(plan, n_unit, scaled):
 def advance(dt, cmd, state, config, work):
     """Predict state, parameters and covariance over dt s under a command, in place.
 
-    A longer gap than :data:`FINE_MAX` leaves nothing of the motion before it, and counts as that.
+    Longer gaps are cut to :data:`FINE_MAX`: by then the initial velocities have decayed.
     """
     dt = min(dt, FINE_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.identification.dynamic_window import NOISE_FORMS, _floats
+from twin.identification.dynamic_window import NOISE_FORMS, as_floats
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -37,7 +37,7 @@ class NoiseLimits:
         """
         if not factor > 1.0:
             raise UsvTwinError(f"factor = {factor} must be above 1")
-        q, r = _diagonal(_floats(Q)), _diagonal(_floats(R))
+        q, r = _diagonal(as_floats(Q)), _diagonal(as_floats(R))
         return cls(q / factor, q * factor, r / factor, r * factor)
 
 
@@ -88,8 +88,8 @@ def adapt_noise(
     if not (alpha >= 0.0 and beta >= 0.0):
         raise UsvTwinError(f"alpha = {alpha} and beta = {beta} must be 0 or more")
     return (
-        _shift(_floats(Q), alpha, _floats(eps_s), limits.Q_low, limits.Q_high, form),
-        _shift(_floats(R), beta, _floats(eps_c), limits.R_low, limits.R_high, form),
+        _shift(as_floats(Q), alpha, as_floats(eps_s), limits.Q_low, limits.Q_high, form),
+        _shift(as_floats(R), beta, as_floats(eps_c), limits.R_low, limits.R_high, form),
     )
 
 

@@ -92,7 +92,7 @@ class RefitSettings:
     """How the window is cut up and weighted.
 
     The defaults are those of :func:`twin.predictors.dsw_ukf_plus.refit_settings`. They were tuned
-    on a boat of 6.336 m at 5.4 m/s; L and U are length and nominal speed over these.
+    on a boat of 6.336 m at 5.4 m/s.
     """
 
     # length of the window, time between starts, length of a segment, s
@@ -117,6 +117,11 @@ class RefitSettings:
             value = getattr(self, name)
             if not GRID <= value <= SPAN_MAX:
                 raise RefitError(f"{name} = {value} must be {GRID} to {SPAN_MAX:g} s")
+        if self.span < self.horizon:
+            raise RefitError(f"span = {self.span} must be at least horizon = {self.horizon} s")
+        for name in ("scale", "knee"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise RefitError(f"{name} = {getattr(self, name)} must be finite and above 0")
         if not 1 <= self.every <= self.horizon / GRID or self.every != int(self.every):
             raise RefitError(f"every = {self.every} must be 1 to {self.horizon / GRID:g}, whole")
 
@@ -168,9 +173,9 @@ def refit_config(values, p):
 class LineariseWork(NamedTuple):
     """Scratch of :func:`linearise`; m = p + 4 columns: parameters, error of a sample, offset."""
 
-    terms: Any  # (4, 58) terms at the four stages of a step
-    slopes: Any  # (4, 58) their derivatives by u, v, r, psi
-    by_term: Any  # (58, 3) parameters, gathered by terms
+    terms: Any  # (4, N_TERMS) terms at the four stages of a step
+    slopes: Any  # (4, N_TERMS) their derivatives by u, v, r, psi
+    by_term: Any  # (N_TERMS, 3) parameters, gathered by terms
     s: Any  # (6,) state
     stage: Any  # (6,) state at a stage
     rate: Any  # (6,) its derivative

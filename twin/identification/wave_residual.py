@@ -45,8 +45,8 @@ ROOT_MAX = 0.98
 out, and never grow."""
 
 HEADING_BANDWIDTH = math.radians(20.0)
-"""Waves depend on the heading: what was left counts for headings as near to its cov as this
-(standard deviation), rad."""
+"""Waves depend on the heading. A residual has a normal weight of this standard deviation, over the
+difference between its heading and the one asked for, rad."""
 
 SECTORS, POOLED_PSEUDO_COUNT = 24, 3.0
 """Sectors of headings; rows of all headings that each sector's fit includes."""
@@ -258,8 +258,7 @@ def _join(cov, many, row):
     ab, ac = cov[1] / math.sqrt(a * b), cov[2] / math.sqrt(a * c)
     rest = math.sqrt(1.0 - ab * ab)
     bc = (cov[5] / math.sqrt(b * c) - ab * ac) / rest
-    one, two, three = row[FACTOR], row[FACTOR + 4], row[FACTOR + 8]
-    row[FACTOR] = one
+    two, three = row[FACTOR + 4], row[FACTOR + 8]
     row[FACTOR + 3], row[FACTOR + 4] = ab * two, rest * two
     row[FACTOR + 6], row[FACTOR + 7] = ac * three, bc * three
     row[FACTOR + 8] = math.sqrt(max(1.0 - ac * ac - bc * bc, 0.0)) * three

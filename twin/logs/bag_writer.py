@@ -12,18 +12,16 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
 from twin.logs.columns import Array
+from twin.logs.datum import Datum
 from twin.logs.tables import ExportError, StateTable
 from twin.tilt import body_rates, body_velocity, body_yaw_rate
 from usv_kernel.files import write_whole
-
-if TYPE_CHECKING:
-    from twin.logs.log import Log
 
 __all__ = [
     "BAG_SUFFIX",
@@ -41,6 +39,23 @@ _RATES = ("vertical_speed_mps", "p_radps", "q_radps")
 
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
+
+
+class Recording(Protocol):
+    """What a bag takes of a :class:`twin.Log`; shapes and units are there."""
+
+    @property
+    def t(self) -> Array: ...
+    @property
+    def z(self) -> Array: ...
+    @property
+    def cmd(self) -> Array: ...
+    @property
+    def truth(self) -> Array | None: ...
+    @property
+    def true_motion(self) -> Array | None: ...
+    @property
+    def datum(self) -> Datum | None: ...
 
 
 class Event(NamedTuple):
@@ -69,7 +84,7 @@ class Forecast(NamedTuple):
     tilt_rates: Array | None = None
 
 
-def check_bag(path: str | Path, log: Log) -> None:
+def check_bag(path: str | Path, log: Recording) -> None:
     """Refuse to write a bag without rosbags, or of times that ROS has no stamp for.
 
     Raises
@@ -84,7 +99,7 @@ def check_bag(path: str | Path, log: Log) -> None:
             f"{path}: writing MCAP needs the package rosbags: pip install 'usv-twin[ros]'"
         ) from None
     epoch = _epoch(log)
-    if len(log) and not 0.0 <= epoch + log.t[0] <= epoch + log.t[-1] < _LATEST - 1e6:
+    if len(log.t) and not 0.0 <= epoch + log.t[0] <= epoch + log.t[-1] < _LATEST - 1e6:
         raise ExportError(
             f"{path}: a stamp of ROS is from 0 to {_LATEST} s since 1970, and the log runs from "
             f"{epoch + log.t[0]:.6g} to {epoch + log.t[-1]:.6g} s; shift its time"
@@ -93,7 +108,7 @@ def check_bag(path: str | Path, log: Log) -> None:
 
 def write_bag(
     path: str | Path,
-    log: Log,
+    log: Recording,
     states: StateTable | None = None,
     forecast: Forecast | None = None,
 ) -> None:
@@ -140,7 +155,7 @@ def write_bag(
         write_whole(path, next(bag.glob("*.mcap")).read_bytes())
 
 
-def _epoch(log: Log) -> float:
+def _epoch(log: Recording) -> float:
     """Return the time of t = 0, s since 1970; 0 where it is not known."""
     return 0.0 if log.datum is None or log.datum.epoch is None else log.datum.epoch
 
@@ -227,13 +242,13 @@ class _Messages:
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
 
-    def measured(self, log: Log) -> Iterator[Event]:
+    def measured(self, log: Recording) -> Iterator[Event]:
         """Yield what sensors and commands say, row by row."""
         plane = None if log.datum is None else log.datum.plane
         for k, t in enumerate(log.t.tolist()):
             row = dict(zip(MEASUREMENTS, log.z[k].tolist(), strict=True))
             ns = self._ns(t)
-            if k + 1 < len(log):  # a row has what was in force in the interval that ends at it
+            if k + 1 < len(log.t):  # a row has what was in force in the interval that ends at it
                 kind = "sensor_msgs/msg/JointState"
                 yield Event(ns, 0, "/command", kind, self._command(t, log.cmd[k + 1]))
             for place, (topic, kind, of) in enumerate(_SENSORS, start=1):
@@ -320,7 +335,7 @@ class _Messages:
         vector = self._vector(x, y, z)
         return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
-    def truth(self, log: Log) -> Iterator[Event]:
+    def truth(self, log: Recording) -> Iterator[Event]:
         """Yield the true states of a simulated run."""
         assert log.truth is not None
         for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):

@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
 from twin.logs.diagnosis.position import find_jumps
 from twin.logs.diagnosis.signals import ENOUGH
 from twin.logs.diagnosis.timing import GAP_STEPS, is_gap, longest_gap
+from twin.logs.errors import LogError
 from twin.logs.readers import Table
 from usv_kernel.channels import COMPASS, GYRO
 

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
-from usv_kernel.errors import UsvTwinError
-
-if TYPE_CHECKING:
-    from twin.logs.datum import Plane
+from twin.logs.datum import Plane
 
 __all__ = [
     "OTHER_UNITS",
@@ -23,7 +19,6 @@ __all__ = [
     "SINGLE",
     "UNITS",
     "Entry",
-    "LogError",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -56,10 +51,6 @@ OTHER_UNITS = {
     if name.endswith(f"_{own}")
 }
 """Columns in degrees and rpm: the SI column that each gives, and its factor."""
-
-
-class LogError(UsvTwinError):
-    """A log that cannot be used; the message names the file, the place and the remedy."""
 
 
 @dataclass(frozen=True)

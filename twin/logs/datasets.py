@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs, sibling_path
 from twin.logs.readers import CsvFile, ParquetFile
 from twin.particulars import Instruments, Particulars

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 
 __all__ = [
     "DATUM",

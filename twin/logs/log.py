@@ -39,8 +39,9 @@ from twin.logs.checks import (
     held_command,
     stream_end,
 )
-from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry, LogError
+from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
+from twin.logs.errors import LogError
 from twin.logs.mapping import Layout, layout_of
 from twin.logs.readers import (
     CsvFile,

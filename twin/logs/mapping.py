@@ -67,8 +67,9 @@ from typing import Any
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
-from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
+from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
 from twin.logs.datum import FIXES, Datum, Plane
+from twin.logs.errors import LogError
 from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.logs.columns import OTHER_UNITS, SINGLE, Array, LogError
+from twin.logs.columns import OTHER_UNITS, SINGLE, Array
 from twin.logs.dates import DateFormat
 from twin.logs.datum import radii
 from twin.logs.diagnosis.heading import gyro_on_compass
 from twin.logs.diagnosis.position import velocity_on_fixes
 from twin.logs.diagnosis.track import compass_on_track
+from twin.logs.errors import LogError
 from twin.logs.header_words import (
     NAMES,
     SHAFT,

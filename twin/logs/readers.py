@@ -22,9 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
-from twin.logs.columns import Array, Entry, LogError
+from twin.logs.columns import Array, Entry
 from twin.logs.dates import Clock, Midnight, past_midnight
 from twin.logs.datum import Plane
+from twin.logs.errors import LogError
 from twin.logs.mapping import Layout
 
 if TYPE_CHECKING:

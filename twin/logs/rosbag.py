@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, TIME
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
+from twin.logs.errors import LogError
 from twin.logs.mapping import Layout
 from twin.logs.readers import (
     MAX_ROWS,

@@ -41,7 +41,7 @@ class JointWorkspace(NamedTuple):
 
     Q: Any  # (6, 6) process noise of the states for this step
     q_xi: Any  # (p,) variance that each parameter's random walk adds in this step
-    terms: Any  # (58,) terms of the model
+    terms: Any  # (N_TERMS,) terms of the model
     sigma: Any  # UKFWorkspace
 
 

@@ -118,7 +118,7 @@ def current_terms(motion, wind, xi, first, model, terms):
 
 @kernel
 def derivative(s, xi, act, wind, model, terms, out):
-    """Write the time derivative (6,) of the state, and leave the terms in ``terms`` (50,).
+    """Write the time derivative (6,) of the state, and leave the terms in ``terms`` (N_TERMS,).
 
     ``act`` has shaft speeds in the unit of the structure. ``wind`` (2,) is the true wind to north
     and east, m/s, zeros where it is not known. Source: Eq (20), (26).

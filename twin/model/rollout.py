@@ -25,7 +25,7 @@ from twin.channels import PSI
 from twin.model.actuators import follow_all
 from twin.model.dynamics import N_ACT
 from twin.model.structure import (
-    BIASED,
+    HEADING,
     LEFT_COS,
     LENGTH,
     N_STATES,
@@ -125,15 +125,15 @@ class _Motion(NamedTuple):
     now: Any  # (8,) state, cosine and sine of the heading
     current: Any  # (2,) velocity of the water to north and east, m/s
     thrust: Any  # (3, 3) accelerations by the actuators at start, middle and end of a step
-    shares: Any  # (58, 4) parameters, gathered by terms
+    shares: Any  # (N_TERMS, 4) parameters, gathered by terms
 
 
 class _Workspace(NamedTuple):
     """Workspace of a rollout."""
 
-    terms: Any  # (3, 58) terms at start, middle and end of a step
+    terms: Any  # (3, N_TERMS) terms at start, middle and end of a step
     turned: Any  # (4,) cosine and sine of the drive angles, left and right
-    motions: Any  # (D, 8 + 9 + 200) see :class:`_Motion`
+    motions: Any  # (D, m) the numbers of :class:`_Motion`
 
 
 @inlined
@@ -204,7 +204,7 @@ def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
     c_1, s_1 = now[6], now[7]
     c_2, s_2, c_3, s_3 = c_1, s_1, c_1, s_1
     du_1, dv_1, dr_1 = _rates((u, v, r, c_1, s_1), water, hull, shares, thrust[0], terms[0])
-    if hull[BIASED] > 0.0:  # sign of the bias, by the state of this stage
+    if hull[HEADING] > 0.0:  # earth-fixed terms need the heading at mid-step and end
         ahead = psi + 0.5 * h * (r + w + 0.25 * h * dr_1)
         s_2, c_2 = sincos(ahead)
         ahead = psi + h * (r + w + 0.5 * h * dr_1)
@@ -245,9 +245,8 @@ def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
 def rotate_body_velocity(w, h, s, at):
     """Rotate u and v against a wave that turns the hull at a rate w for h seconds.
 
-    What turns the hull alone leaves the velocity over ground: u and v turn the other way. The
-    water that moves with its sides makes it near twice as heavy in sway, and v by
-    :data:`SWAY_INERTIA_RATIO` slower.
+    Such a turn leaves the velocity over ground: u and v rotate the other way. Added mass nearly
+    doubles the inertia in sway, so that v changes by :data:`SWAY_INERTIA_RATIO` of that only.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ class ModelTerms(NamedTuple):
 
     which: NDArray[np.uint64]  # (3, p) term of each parameter in surge, sway and yaw
     limits: NDArray[np.int64]  # (6, 2) columns of (s, xi) that the rate of each state depends on
-    hull: Array  # (5,) constants: FULL, BIASED, LENGTH, SOFT, CURRENT
+    hull: Array  # (5,) constants: FULL, HEADING, LENGTH, SOFT, CURRENT
 
 
 N_STATES = 6
@@ -99,9 +99,9 @@ before UUU are in every structure, the others of the state where all terms are n
 from BY_CURRENT on are slopes by the current: north and east, in surge, sway and yaw. They are 0 but
 where a model is linearised."""
 
-FULL, BIASED, LENGTH, SOFT, CURRENT = range(5)
-"""Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2), index of the
-current's two components among the parameters (-1 if there are none)."""
+FULL, HEADING, LENGTH, SOFT, CURRENT = range(5)
+"""Hull constants: 1 where all terms are needed, 1 where the heading is, length (m), softening
+(m2/s2), index of the current's two components among the parameters (-1 if there are none)."""
 
 CURRENT_SD, CURRENT_SHARE = 0.3, 0.1
 """Standard deviation of each component of the current before any data, m/s, and at most in nominal
@@ -130,7 +130,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
         Shaft speeds in the unit of the structure.
     cos_left, sin_left, cos_right, sin_right : float
         Of the drive angles.
-    terms : (58,) array
+    terms : (N_TERMS,) array
         Those from LEFT_COS on are written.
     """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
@@ -251,7 +251,7 @@ def accelerations(terms, model, xi, first):
 
     Parameters
     ----------
-    terms : (58,) array
+    terms : (N_TERMS,) array
         All terms.
     model : ModelTerms
         Of the structure.
@@ -296,7 +296,7 @@ def gather(model, xi, shares):
         Of the structure.
     xi : (p,) array
         Parameters.
-    shares : (58, 4) array
+    shares : (N_TERMS, 4) array
         Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
     which, limits = model.which, model.limits

@@ -76,9 +76,9 @@ def term_slopes(velocity, heading, wind, hull, terms, slopes):
         u, v (m/s), r (rad/s); cosine and sine of the heading.
     wind, hull
         See :func:`state_terms`.
-    terms : (58,) array
+    terms : (N_TERMS,) array
         As :func:`state_terms` left it.
-    slopes : (4, 58) array
+    slopes : (4, N_TERMS) array
         Written where a derivative is not always 0; hand in zeros.
     """
     u, v, r = velocity

@@ -91,7 +91,7 @@ class Estimate:
     t : float
         Time of the last row, s.
     state, sd : ndarray, shape (6,)
-        State in the order of :data:`CHANNELS`, and its standard deviation.
+        State in the order of :data:`twin.channels.STATE`, and its standard deviation.
     params, params_sd : ndarray, shape (p,)
         Model parameters and their standard deviations; empty where there is no model.
     ready : bool
@@ -118,7 +118,7 @@ class Prediction:
     t0 : float
         Time at which it was made, s.
     start, start_cov : ndarray, shapes (6,), (6, 6)
-        State that it starts from, in the order of :data:`CHANNELS`, and its covariance.
+        State that it starts from, in the order of :data:`twin.channels.STATE`, and its covariance.
     t : ndarray, shape (K,)
         Times of the forecast, s.
     mean : ndarray, shape (K, 6)
@@ -337,7 +337,7 @@ class Predictor(ABC):
     @property
     @abstractmethod
     def state(self) -> Array:
-        """Estimated state, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
+        """Estimated state, (6,) in the order of :data:`twin.channels.STATE`; may be a view."""
 
     @property
     def navigation(self) -> Array:

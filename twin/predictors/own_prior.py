@@ -40,6 +40,8 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
     BoatPriorError
         The runs are of several boats or models, or a run says nothing.
     """
+    if not predictors:
+        raise BoatPriorError("no run is given: give at least one")
     first = predictors[0]
     if not isinstance(first, ModelPredictor):
         raise BoatPriorError(

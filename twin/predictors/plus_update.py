@@ -9,13 +9,14 @@ import numpy as np
 
 from twin.channels import PSI, R, U, V
 from twin.filters.linalg import invert
-from twin.filters.navigation_ekf import lacks_gps
+from twin.filters.navigation_ekf import is_in_doubt, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
 from twin.identification.data_weight import (
     BLEND,
     CHOSEN,
     JOINT,
+    NOTED,
     SCORED,
     linearised_at,
     note,
@@ -261,10 +262,11 @@ def _take_segments(rows, window, selector, segments, nav, config, model, work):
         if all_good(start, start + config.steps, rows):
             at = selector.params[linearised_at(selector)]
             add(start, rows, at, segments, config, model, work)
-            score(start, rows, selector, segments, config, model, work)
-            slot = start // config.spacing % selector.past.shape[0]
-            xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
-            compare_segment(start, rows, xi, covs, window, config, model, work)
+            if start <= selector.count[NOTED]:  # else it began and ended between two refits
+                score(start, rows, selector, config, model, work)
+                slot = start // config.spacing % selector.past.shape[0]
+                xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
+                compare_segment(start, rows, xi, covs, window, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
@@ -416,13 +418,13 @@ def update_plus(t, dt, z, cmd, memory, config, work):
 
 
 @inlined
-def _identify(lost, dt, cmd, nav, wind, memory, config, scratch):
+def _identify(outage, dt, cmd, nav, wind, memory, config, scratch):
     """Let the joint filter, whose parameters are a candidate, take the navigation's state."""
     model = config.model
     joint, given = filter_state(memory.joint, model), filter_config(config.joint, model)
     for k in range(2):
         joint.wind[k] = wind[k]
-    if has_diverged(lost, nav, joint, given):
+    if has_diverged(outage, nav, joint, given):
         restart_state(dt, cmd, nav, joint, given)
         return
     correct(dt, cmd, nav, joint, given, model, scratch)
@@ -468,7 +470,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         as_record(memory.window, WINDOW),
         config.model,
     )
-    begun, lost = nav.begun > 0.0, nav.gps_age + dt
+    begun, outage = nav.begun > 0.0, nav.gps_age + dt
     tight_step(
         dt,
         z,
@@ -494,10 +496,10 @@ def plus_step(t, dt, z, cmd, memory, config, work):
     else:
         scratch = filter_workspace(work.filter, model.which.shape[1])
         if refit.joint != NONE:
-            _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
+            _identify(outage, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if nav.gps_age > GAP_GOOD and lost - dt <= GAP_GOOD:
+    if nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD:
         selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
         if selector.count[SCORED] >= SEGMENTS_MIN:
             if refit.joint == NONE:
@@ -506,7 +508,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
                 _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0
+    trusted = nav.gps_age <= GAP_GOOD and not is_in_doubt(nav)
     good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import aid, is_ready, lacks_gps, lacks_imu, navigate
+from twin.filters.navigation_ekf import aid, is_in_doubt, is_ready, lacks_gps, lacks_imu, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
@@ -53,7 +53,7 @@ from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
-from twin.predictors.without_gps import try_alone, widen_without_gps
+from twin.predictors.without_gps import try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -82,14 +82,15 @@ OUTAGE_NOISE_FACTOR = 400.0
 """Factor of the velocity's measurement noise without GPS, as its errors last from row to row."""
 
 RESTART_AFTER = 4.0
-"""Time without GPS, in lengths over nominal speed, after which the state begins with the next fix
-again; the parameters stay ..."""
+"""Time without GPS, in lengths over nominal speed, after which the first fix re-initialises the
+state. Parameters are kept."""
 
 DOUBTED = 0.1
 """Standard deviation of velocities under doubted commands, in envelopes."""
 
 DIVERGENCE_GATE = 10.0
-"""... as they do where the state is this many standard deviations from the navigation."""
+"""Deviation from the navigation, in standard deviations, above which the state is re-initialised.
+Parameters are kept."""
 
 VELOCITY_LASTS = 0.25
 """Standard deviation, in nominal speeds, of a velocity whose error lasts a length over nominal
@@ -143,7 +144,7 @@ def _accelerations(dt, z, nav, state, given, model, scratch):
     current = current_of(x, N_STATES, model.hull)
     du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
     held = not math.isfinite(z[ACCEL_X]) and not lacks_gps(nav)
-    due = information_is_due(dt, state)
+    due = information_is_due(dt, state) and not is_in_doubt(nav)
     if held or due:
         current_terms(motion, state.wind, x, N_STATES, model, terms)
     if due:
@@ -179,11 +180,11 @@ def start_filter(cmd, nav, state, given):
 
 
 @inlined
-def has_diverged(lost, nav, state, given):
-    """Return whether the state must restart; ``lost`` is how long no fix had come, s."""
+def has_diverged(outage, nav, state, given):
+    """Return whether the state must restart; ``outage`` is how long no fix had come, s."""
     x, P, n, P_nav = state.x, state.P, nav.n, nav.P
     # so long a rollout is far from linear in the parameters, which its errors would corrupt
-    diverged = lost > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
+    diverged = outage > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
     diverged = diverged or nav.commands_doubted > 0.0
     for i in range(N_STATES):
         error = n[i] - x[i]
@@ -281,7 +282,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     scratch, x = filter_workspace(work.filter, model.which.shape[1]), state.x
     update_wind(z, state.wind)
     _accelerations(dt, z, nav, state, given, model, scratch)
-    lost = nav.gps_age + dt
+    outage = nav.gps_age + dt
     navigate(nav, dt, z, scratch.accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
         start_filter(cmd, nav, state, given)
@@ -289,12 +290,12 @@ def tight_step(dt, z, cmd, memory, config, work):
         return
     if nav.imu_age == 0.0:
         nav.has_imu = 1.0
-    if has_diverged(lost, nav, state, given):
+    if has_diverged(outage, nav, state, given):
         restart_state(dt, cmd, nav, state, given)
         return
     correct(dt, cmd, nav, state, given, model, scratch)
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
-    try_alone(dt, nav, state, given, model, scratch.terms)
+    try_open_loop(dt, nav, state, given, model, scratch.terms)
     widen_without_gps(dt, nav, state, given, model)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:

@@ -1,18 +1,18 @@
-"""How much the velocity of a model errs without GPS, for as long as no fix comes."""
+"""Error of the model's velocity during an outage of GPS, and the position variance it adds."""
 
 from __future__ import annotations
 
 import math
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.filters.navigation_ekf import GAP_MAX, lacks_gps
+from twin.filters.navigation_ekf import GAP_MAX, is_in_doubt, lacks_gps
 from twin.model.dynamics import drive, rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import CURRENT, N_STATES, current_of
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
-__all__ = ["try_alone", "widen_without_gps"]
+__all__ = ["try_open_loop", "widen_without_gps"]
 
 FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
@@ -23,15 +23,16 @@ MODEL_DRIFT, LASTING_SHARE = 0.02, 0.045
 """Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
 of the variance of a rough model's own velocity does, of no more than the fastest seen."""
 
-ALONE, ALONE_KEPT, ALONE_PART = 40.0, 6, 0.5
-"""While fixes come, the model is also left alone, again and again for so many seconds. How far its
-way is then from the true one tells its error without GPS. The logarithms of so many squares are
-averaged, and this part of the mean goes to north and to east."""
+TRIAL, TRIALS_KEPT, PER_AXIS = 40.0, 6, 0.5
+"""Length of a trial, s: while fixes come, the model is integrated open loop, but for its heading.
+Its mean velocity error over a trial stands for that of an outage. The geometric mean of the squares
+of so many trials is kept; north and east have this share of it each. A trial that an outage
+interrupts ends with the next fix: until then, the navigation is the model's."""
 
 TINY = 1e-9
 """Smallest of these squares, (m/s)2."""
 
-ALONE_FOR, ALONE_U, ALONE_V, ALONE_NORTH, ALONE_EAST, ALONE_COUNT = range(6)
+TRIAL_TIME, TRIAL_U, TRIAL_V, TRIAL_NORTH, TRIAL_EAST, TRIAL_COUNT = range(6)
 
 UNTURNED = 0.12
 """Standard deviation of the current along the course that a boat with a rough model has kept, in
@@ -40,17 +41,16 @@ Where it turns without GPS, the one leaves and the other goes with it."""
 
 
 @inlined
-def try_alone(dt, nav, state, given, model, terms):
-    """Let the model alone say how the boat moves, but for its heading; compare it with the fixes.
+def try_open_loop(dt, nav, state, given, model, terms):
+    """Integrate the model open loop with the measured heading, and compare it with the navigation.
 
     The actuators of ``state`` have followed the commands. ``terms`` is scratch.
     """
-    n, alone, x = nav.n, nav.alone, state.x
-    doubted = nav.commands_doubted + nav.motion_doubted > 0.0
-    if nav.gps_age > GAP_MAX or dt > GAP_MAX or doubted or alone[ALONE_FOR] == 0.0:
-        alone[ALONE_FOR] = dt
-        alone[ALONE_U], alone[ALONE_V] = n[U], n[V]
-        alone[ALONE_NORTH], alone[ALONE_EAST] = n[X], n[Y]
+    n, trial, x = nav.n, nav.trial, state.x
+    if nav.gps_age > GAP_MAX or dt > GAP_MAX or is_in_doubt(nav) or trial[TRIAL_TIME] == 0.0:
+        trial[TRIAL_TIME] = dt
+        trial[TRIAL_U], trial[TRIAL_V] = n[U], n[V]
+        trial[TRIAL_NORTH], trial[TRIAL_EAST] = n[X], n[Y]
         return
     drive(state.act, terms)
     c, s = math.cos(n[PSI]), math.sin(n[PSI])
@@ -58,21 +58,21 @@ def try_alone(dt, nav, state, given, model, terms):
     steps = max(1, math.ceil(dt / GRID - 1e-9))
     h = dt / steps
     for _ in range(steps):
-        u, v = alone[ALONE_U], alone[ALONE_V]
+        u, v = trial[TRIAL_U], trial[TRIAL_V]
         motion = u, v, n[R], c, s
         rates = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
         for i in range(2):
-            moved, most = alone[ALONE_U + i] + h * rates[i], given.envelope[i]
-            alone[ALONE_U + i] = min(max(moved, -most), most)
-        alone[ALONE_NORTH] += h * (u * c - v * s)
-        alone[ALONE_EAST] += h * (u * s + v * c)
-    alone[ALONE_FOR] += dt
-    if alone[ALONE_FOR] < ALONE:
+            moved, most = trial[TRIAL_U + i] + h * rates[i], given.envelope[i]
+            trial[TRIAL_U + i] = min(max(moved, -most), most)
+        trial[TRIAL_NORTH] += h * (u * c - v * s)
+        trial[TRIAL_EAST] += h * (u * s + v * c)
+    trial[TRIAL_TIME] += dt
+    if trial[TRIAL_TIME] < TRIAL or lacks_gps(nav):
         return
-    north, east = alone[ALONE_NORTH] - n[X], alone[ALONE_EAST] - n[Y]
-    square = ALONE_PART * (north * north + east * east) / alone[ALONE_FOR] ** 2
-    alone[ALONE_FOR], count = 0.0, min(max(alone[ALONE_COUNT], 0.0), ALONE_KEPT - 1.0)
-    alone[ALONE_COUNT] = count + 1.0
+    north, east = trial[TRIAL_NORTH] - n[X], trial[TRIAL_EAST] - n[Y]
+    square = PER_AXIS * (north * north + east * east) / trial[TRIAL_TIME] ** 2
+    trial[TRIAL_TIME], count = 0.0, min(max(trial[TRIAL_COUNT], 0.0), TRIALS_KEPT - 1.0)
+    trial[TRIAL_COUNT] = count + 1.0
     square = math.log(min(max(square, TINY), given.envelope[0] ** 2))
     before = math.log(max(nav.drift_var, TINY))
     nav.drift_var = math.exp((count * before + square) / (count + 1.0))

@@ -136,6 +136,24 @@ def test_slow_pull_names_the_gps(manoeuvre, direction, speed):
 
 
 @few
+@given(manoeuvres, angles, st.floats(0.5, 1.5))
+def test_gps_that_was_drawn_away_is_soon_trusted_again(manoeuvre, direction, speed):
+    """Nothing tells that it is drawn away; but once it jumps back, its velocity does as well."""
+    north, east = speed * math.cos(direction), speed * math.sin(direction)
+
+    def change(rows: Rows) -> None:
+        rows.z[:, GPS_X] += north * rows.since
+        rows.z[:, GPS_Y] += east * rows.since
+        rows.z[:, GPS_VX] += north
+        rows.z[:, GPS_VY] += east
+
+    found = watch_fault(fault(change, 50.0), manoeuvre, after=25.0)
+    back = [f for f in found.findings if f.sensor == "gps" and f.status == "excluded"]
+    assert any("drawn away" in f.why for f in back), found.findings
+    assert "excluded" not in found.last.values(), found.last
+
+
+@few
 @given(manoeuvres, starts)
 def test_frozen_gps_names_the_gps(manoeuvre, start):
     found = watch_fault(SENSOR_FAULTS["gps-frozen"], manoeuvre, start=start)

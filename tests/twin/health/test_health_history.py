@@ -45,6 +45,16 @@ def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
     )
 
 
+def test_channel_that_goes_from_one_trouble_to_another_leaves_two_lines():
+    troubles = {}
+    history = HealthHistory(SensorMonitor(PARTICULARS), lambda: troubles)
+    for t in range(10):
+        status = "excluded" if t < 6 else "absent"
+        troubles = {"wind": (status, 0.0, f"wind is {status}")} if t > 2 else {}
+        history.take(float(t), 0.0)
+    assert [line.split(" from")[0] for line in history.lines()] == ["wind excluded", "wind absent"]
+
+
 def test_status_at_a_time_is_that_of_the_row_before_it():
     history = history_of({2: [("gyro", OK, 0.0)], 4: [("gyro", EXCLUDED, AT_ODDS)]})
     assert history.at(99.9) == {}

@@ -16,6 +16,7 @@ from twin.identification.prediction_error import (
     GOOD,
     MIDDLE,
     WIND,
+    RefitError,
     RefitSettings,
     linearise,
 )
@@ -409,3 +410,11 @@ def test_a_damped_solution_lies_between_and_says_nothing_of_the_covariance() -> 
     np.testing.assert_allclose(prior_of(structure, held.params), 0.0, atol=1e-6)
     # the damping is a means of finding the least; it says nothing of how sure that is
     np.testing.assert_array_equal(held.cov, held.prior_cov)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"scale": math.nan}, {"knee": 0.0}, {"knee": -1.0}, {"span": 1.0, "horizon": 2.0}]
+)
+def test_settings_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(RefitError, match=next(iter(wrong))):
+        dataclasses.replace(SETTINGS, **wrong)

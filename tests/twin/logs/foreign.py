@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from twin.channels import APPARENT_SPEED, MEASUREMENTS, TRUTH, WIND_SPEED
 from twin.cli.main import app
 from twin.logs import readers as table
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 
 MAPPINGS = Path(table.__file__).with_name("mappings")

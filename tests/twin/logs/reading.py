@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 
 

@@ -29,7 +29,7 @@ from twin.channels import MOTION_AT
 from twin.cli.main import app
 from twin.logs.autopilot.dataflash import DataFlash
 from twin.logs.autopilot.outputs import Output
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.sim.recorded import particulars_for_log
 

@@ -15,7 +15,8 @@ from hypothesis.extra import numpy as hnp
 
 from tests.twin.logs.reading import refused
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.logs.columns import REQUIRED, LogError
+from twin.logs.columns import REQUIRED
+from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 
 Columns = dict[str, list[str]]

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_Z, GYRO_X, GYRO_Y
 from twin.cli.main import app
-from twin.logs.columns import LogError
 from twin.logs.dates import date_formats
+from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 from twin.logs.proposal import propose
 from twin.sim.bridge import simulate

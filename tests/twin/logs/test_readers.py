@@ -38,7 +38,7 @@ from twin.channels import (
     WIND_SPEED,
 )
 from twin.logs import readers as table
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log, sibling_path
 from twin.logs.mapping import Layout
 from twin.sim.bridge import particulars_of

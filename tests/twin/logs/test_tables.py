@@ -19,8 +19,8 @@ from twin import Log, Particulars, Twin, TwinError, recorded_runs
 from twin.channels import COMMANDS, MEASUREMENTS, STATE
 from twin.checkpoint import StateError
 from twin.cli.main import app
-from twin.logs.columns import LogError
 from twin.logs.datum import DATUM, Datum, Plane
+from twin.logs.errors import LogError
 from twin.logs.tables import ExportError, StateTable
 
 PLACE = 63.4401, 10.3967

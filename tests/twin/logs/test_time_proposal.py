@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.cli.main import app
-from twin.logs.columns import LogError
 from twin.logs.dates import Midnight, past_midnight
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.proposal import propose
 

@@ -202,3 +202,30 @@ def test_without_gps_a_model_that_errs_says_so() -> None:
             twin.step(t, z, cmd)
         said[wrong] = float(twin.estimate().sd[0])
     assert said[0.5] > 2.0 * said[0.0]
+
+
+def test_an_outage_is_no_trial_of_the_model() -> None:
+    """Without fixes the navigation is the model's: it cannot tell how far that errs."""
+    log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=220.0, seed=1)
+    twin = Twin(particulars_of(Vessel.load("otter")), "ukf")
+    for t, z, cmd in log.slice(0.0, 100.0):
+        twin.step(t, z, cmd)
+    drift = float(twin.predictor._nav["drift_var"])
+    for t, z, cmd in log.slice(100.05, 220.0):
+        z = z.copy()
+        z[GPS] = math.nan
+        twin.step(t, z, cmd)
+    assert drift > 0.0
+    assert float(twin.predictor._nav["drift_var"]) == drift
+
+
+def test_rows_under_doubted_commands_count_as_no_data(log) -> None:
+    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
+    for t, z, cmd in log.slice(0.0, 30.0):
+        twin.step(t, z, cmd)
+    before = twin.predictor.ukf.counted[1]
+    assert before > 10.0
+    for t, z, cmd in log.slice(30.05, 60.0):
+        twin.predictor.suspend_learning(commands=True, motion=False)
+        twin.predictor.update(t, 0.05, z, cmd)
+    assert twin.predictor.ukf.counted[1] == before

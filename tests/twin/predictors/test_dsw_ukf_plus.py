@@ -348,6 +348,14 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
         assert end < 30.0 + 1e-9 or begin > 30.0 + start - GRID
 
 
+def test_forecasts_between_two_refits_are_not_scored(boat: Particulars, zigzag: Log) -> None:
+    """Nobody kept the parameters that were in use when they began."""
+    rare, often = (PlusPredictor(boat, period=period) for period in (10.0, 1.0))
+    for predictor in (rare, often):
+        feed(predictor, zigzag)
+    assert 0 < rare.selector.scored < often.selector.scored
+
+
 def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, zigzag: Log) -> None:
     predictor = PlusPredictor(boat, period=2.0)
     feed(predictor, zigzag.slice(0.0, 20.0))

@@ -20,10 +20,10 @@ from twin.cli.common import (
     write_text,
 )
 from twin.cli.logs.check_picture import draw_check
-from twin.logs.columns import LogError
 from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.instruments import particulars_text
+from twin.logs.errors import LogError
 from twin.logs.log import assemble, read_table
 from twin.logs.readers import Table
 from twin.particulars import Particulars

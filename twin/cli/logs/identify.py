@@ -39,7 +39,7 @@ from twin.cli.logs.judge import findings_of, print_verdict
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.bag_writer import BAG_SUFFIX, write_bag
-from twin.logs.columns import LogError
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate

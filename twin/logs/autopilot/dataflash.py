@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
+from twin.logs.errors import LogError
 from twin.logs.readers import MAX_ROWS, cannot_be_read, too_long
 
 __all__ = [

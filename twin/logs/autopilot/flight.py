@@ -10,8 +10,9 @@ import numpy as np
 
 from twin.channels import COMMANDS, TIME
 from twin.logs.autopilot.outputs import Outputs
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
 from twin.logs.datum import Plane
+from twin.logs.errors import LogError
 from twin.logs.mapping import Layout
 from twin.logs.readers import MAX_ROWS, Table, date_of, merged, name_of, said, thinned, too_long
 from twin.logs.rosbag import commanded

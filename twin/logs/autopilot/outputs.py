@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from twin.channels import COMMANDS
-from twin.logs.columns import SHARE, Array, LogError
+from twin.logs.columns import SHARE, Array
+from twin.logs.errors import LogError
 from twin.particulars import Particulars
 
 __all__ = [

@@ -11,7 +11,8 @@ import numpy as np
 from twin.logs.autopilot.dataflash import DataFlash, Messages
 from twin.logs.autopilot.flight import APART, Flight, Samples, steady_times, table_of
 from twin.logs.autopilot.telemetry import read_telemetry, telemetry_parameters
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
+from twin.logs.errors import LogError
 from twin.logs.mapping import Layout
 from twin.logs.readers import Table
 

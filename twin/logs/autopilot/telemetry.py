@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.logs.autopilot.flight import APART, Flight, Samples
-from twin.logs.columns import Array, LogError
+from twin.logs.columns import Array
+from twin.logs.errors import LogError
 from twin.logs.readers import MAX_ROWS, cannot_be_read, too_long
 
 __all__ = ["read_telemetry", "telemetry_parameters"]
