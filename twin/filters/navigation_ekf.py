@@ -369,6 +369,45 @@ def _aided(model, i, density, held, settings):
     return share * model[i], min(density, held)
 
 
+@inlined
+def _are_accelerations_plausible(nav, z, last_x, last_y, follows, settings):
+    """Return whether the accelerations of a row are used; a leap from the row before is refused."""
+    if not (abs(z[ACCEL_X]) < ACCEL_LIMIT and abs(z[ACCEL_Y]) < ACCEL_LIMIT):
+        return False
+    if follows:
+        leap = max(abs(z[ACCEL_X] - last_x), abs(z[ACCEL_Y] - last_y))
+        if leap > settings.leap and nav.refused[IMU_LEAPS] < 0.5 * REFUSED_MAX:
+            nav.refused[IMU_LEAPS] += 1.0
+            nav.last[ACCEL_X], nav.last[ACCEL_Y] = last_x, last_y
+            return False
+        nav.refused[IMU_LEAPS] = 0.0
+    return True
+
+
+@inlined
+def _correct_by_gyro(nav, z, settings, work):
+    """Correct the yaw rate and the gyro's bias."""
+    n, H = nav.n, work.H
+    H[R] = H[GYRO_BIAS] = 1.0
+    innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
+    if _correct(nav, work, innovation, settings.gyro_var, nav.imu_age, 5, math.inf, 0.0):
+        nav.imu_age = 0.0
+    H[R] = H[GYRO_BIAS] = 0.0
+
+
+@inlined
+def _correct_by_compass(nav, z, repeats, settings, work):
+    """Correct the heading and the compass's bias, unless the sample only repeats the last one."""
+    n, H, variance = nav.n, work.H, settings.compass_var
+    innovation = wrap(z[COMPASS] - n[PSI] - n[COMPASS_BIAS])
+    still = nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < variance
+    if not repeats or still:
+        H[PSI] = H[COMPASS_BIAS] = 1.0
+        if _correct(nav, work, innovation, variance, nav.compass_age, 4, math.inf, 0.0):
+            nav.compass_age = 0.0
+        H[PSI] = H[COMPASS_BIAS] = 0.0
+
+
 @kernel
 def navigate(nav, dt, z, model, settings, work):
     """Take one row of measurements.
@@ -407,15 +446,7 @@ def navigate(nav, dt, z, model, settings, work):
     # whether the row before had an IMU sample, and whether gyro and accelerometers are plausible
     follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
     gyro = imu and abs(z[GYRO]) < TURN_LIMIT
-    driven = imu and abs(z[ACCEL_X]) < ACCEL_LIMIT and abs(z[ACCEL_Y]) < ACCEL_LIMIT
-    if driven and follows:
-        leap = max(abs(z[ACCEL_X] - last_x), abs(z[ACCEL_Y] - last_y))
-        if leap > settings.leap and nav.refused[IMU_LEAPS] < 0.5 * REFUSED_MAX:
-            nav.refused[IMU_LEAPS] += 1.0
-            driven = False
-            nav.last[ACCEL_X], nav.last[ACCEL_Y] = last_x, last_y
-        else:
-            nav.refused[IMU_LEAPS] = 0.0
+    driven = imu and _are_accelerations_plausible(nav, z, last_x, last_y, follows, settings)
     # a model's accelerations of this moment do not hold through a gap
     modelled = model[IS_MODELLED] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
     r_rate, r_mean, r_var = 0.0, n[R], settings.r_density
@@ -464,22 +495,9 @@ def navigate(nav, dt, z, model, settings, work):
     for i in range(N_NAV):
         H[i] = 0.0
     if gyro:
-        H[R] = H[GYRO_BIAS] = 1.0
-        innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
-        age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5, math.inf, 0.0):
-            nav.imu_age = 0.0
-        H[R] = H[GYRO_BIAS] = 0.0
+        _correct_by_gyro(nav, z, settings, work)
     if abs(z[COMPASS]) < ROUNDS:
-        innovation = wrap(z[COMPASS] - n[PSI] - n[COMPASS_BIAS])
-        var, age = settings.compass_var, nav.compass_age
-        if not compass_repeats or (
-            nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
-        ):
-            H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4, math.inf, 0.0):
-                nav.compass_age = 0.0
-            H[PSI] = H[COMPASS_BIAS] = 0.0
+        _correct_by_compass(nav, z, compass_repeats, settings, work)
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
         _take_fix(nav, z, dt, gps_repeats, settings, work)
     if nav.lost > 0.0:
