@@ -57,6 +57,12 @@ OFF_BOAT, OFF_BOAT_MIN = 2.0, 10.0
 NARROW = 0.6
 """Two hulls that are narrower together than so much of the stated beam contradict it."""
 
+BLOCK_LEAST, BLOCK_MOST = 0.02, 1.1
+"""Mass over that of the water in a box of length, beam and draft, at least and at most."""
+
+BEAM_MOST = 1.5
+"""No boat is wider than so many of its lengths."""
+
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
 ``differential``: the units are fixed and steer by unequal thrust."""
@@ -340,6 +346,7 @@ class Particulars:
             raise ParticularsError(
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
             )
+        self._check_dimensions()
         self._check_hulls()
         self._check_places()
         if self.design != "" and self.design not in DESIGNS:
@@ -386,6 +393,21 @@ class Particulars:
                     f"{name} = {list(place)} is not on a boat of {self.length:g} m; state it in "
                     f"{_TRIPLES[name]}"
                 )
+
+    def _check_dimensions(self) -> None:
+        """Refuse length, beam, draft and mass that no boat has together."""
+        if self.beam > BEAM_MOST * self.length:
+            raise ParticularsError(
+                f"beam = {self.beam:g} m on a length of {self.length:g} m: no boat is so wide; "
+                "give both in m, the beam over all hulls"
+            )
+        box = SEA_WATER * self.length * self.beam * self.draft
+        if not BLOCK_LEAST * box <= self.mass <= BLOCK_MOST * box:
+            raise ParticularsError(
+                f"mass = {self.mass:g} kg does not go with length, beam and draft: a boat of these "
+                f"weighs {BLOCK_LEAST * box:.2g} to {BLOCK_MOST * box:.2g} kg; correct one of them "
+                "(m and kg)"
+            )
 
     def _check_hulls(self) -> None:
         """Refuse hulls that contradict each other or the mass."""

@@ -84,6 +84,11 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
             for item in dataclasses.fields(Instruments)
         }
     )
+    length = data.draw(st.floats(1e-3, 1e3))
+    beam = length * data.draw(st.floats(0.05, 1.4))
+    draft = beam * data.draw(st.floats(0.01, 2.0))
+    mass = 1025.0 * length * beam * draft * data.draw(st.floats(0.03, 1.0))
+    sizes = {"length": length, "beam": beam, "draft": draft, "mass": mass}
     boat = Particulars(
         name=data.draw(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)),
         steering=data.draw(st.sampled_from(STEERING)),
@@ -93,7 +98,7 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
             max_tilt=data.draw(st.floats(1e-300, 1.5)),
             max_speed=data.draw(above_zero),
         ),
-        **{name: data.draw(above_zero) for name in POSITIVE},
+        **{name: sizes.get(name) or data.draw(above_zero) for name in POSITIVE},
     )
     if boat.steering == "drives" and not boat.tanker:
         boat = dataclasses.replace(boat, design=data.draw(st.sampled_from(("", *DESIGNS))))
@@ -167,8 +172,23 @@ def test_sensors_off_the_boat_are_refused(name: str) -> None:
     on_board = Instruments(**{name: (0.0, 0.0, -16.0)})
     with pytest.raises(ParticularsError, match=rf"{name} = .* is not on a boat of 7\.5 m; state"):
         dataclasses.replace(BOAT, instruments=on_board)
-    long = dataclasses.replace(BOAT, length=300.0)
+    long = dataclasses.replace(BOAT, length=300.0, mass=1e5)
     assert dataclasses.replace(long, instruments=on_board).instruments == on_board
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"mass": 2.3}, "mass = 2.3 kg does not go with length, beam and draft"),
+        ({"mass": 2.3e6}, "does not go with"),
+        ({"draft": 40.0}, "does not go with"),
+        ({"beam": 25.0}, "beam = 25 m on a length of 7.5 m"),
+        ({"length": 750.0}, "does not go with"),
+    ],
+)
+def test_sizes_that_contradict_each_other_are_refused(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParticularsError, match=words):
+        dataclasses.replace(BOAT, **wrong)
 
 
 def test_a_deck_point_off_the_boat_is_refused() -> None:

@@ -14,6 +14,8 @@ from twin.health.state import (
     EXCLUDED,
     GPS,
     OK,
+    STEPPED,
+    VELOCITY_WRONG,
 )
 from usv_kernel.channels import COMPASS
 from usv_kernel.jit import inlined
@@ -29,6 +31,7 @@ __all__ = [
     "exclude",
     "is_fault",
     "is_frozen",
+    "is_velocity_doubted",
     "learning_share",
     "limited",
     "over_ground",
@@ -149,6 +152,13 @@ def is_frozen(check):
     return check.repeated > max(
         FROZEN_TIME, FROZEN_INTERVALS * check.interval, FROZEN_LONGEST * check.longest
     )
+
+
+@inlined
+def is_velocity_doubted(health):
+    """Return whether the velocity of the GPS is not used, or has jumped."""
+    gps = health.sensors[GPS]
+    return gps.reason == VELOCITY_WRONG or (gps.status == EXCLUDED and gps.reason == STEPPED)
 
 
 @inlined

@@ -13,6 +13,7 @@ from twin.health.evidence import (
     exclude,
     is_fault,
     is_frozen,
+    is_velocity_doubted,
     learning_share,
     limited,
     set_status,
@@ -61,8 +62,8 @@ GAP_SHARE, STEP_MAX = 0.2, 5.0
 """Steps in which the gyro is missing for a larger share, or that are longer (s), are not used."""
 
 AHEAD, DRIFT_TIME, CALM_COURSE = 0.35, 4.0, 8.0
-"""A compass also comes back if the mean angle between heading and course is smaller than this
-(rad; leeway and current make less), over such a time (s), and it followed the gyro so long (s)."""
+"""A compass also comes back if the mean angle between heading and course over such a time (s) was
+smaller than this (rad; leeway and current make less), and it followed the gyro, so long (s)."""
 
 RATE_TIME = 0.3
 """Time constant of the compass's yaw rate, s."""
@@ -123,6 +124,25 @@ def _learn_gyro_bias(step, level, T, health, given):
 
 
 @inlined
+def _is_course_known(health):
+    """Return whether there is a course over ground of now, to hold a heading against."""
+    return health.drift_time > DRIFT_TIME and health.course_time < COURSE_GAP
+
+
+@inlined
+def _vote_again(health):
+    """Exchange compass and gyro where the course has come to contradict the one in use."""
+    compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
+    by_compass, by_gyro = abs(health.course_minus_compass), abs(health.course_minus_gyro)
+    if compass.status == EXCLUDED and by_gyro > VOTE_FREE + VOTE_FACTOR * by_compass:
+        exclude(health, GYRO_SENSOR, AT_ODDS)
+        set_status(health, COMPASS_SENSOR, OK, NO_REASON)
+    elif gyro.status == EXCLUDED and by_compass > VOTE_FREE + VOTE_FACTOR * by_gyro:
+        exclude(health, COMPASS_SENSOR, AT_ODDS)
+        set_status(health, GYRO_SENSOR, OK, NO_REASON)
+
+
+@inlined
 def _vote(health):
     """Leave out compass or gyro, by which of them the course over ground follows less."""
     compass = health.sensors[COMPASS_SENSOR]
@@ -172,32 +192,39 @@ def _readmit_gyro(size, level, T, health):
 
 
 @inlined
-def _readmit_compass(heading, size, T, frozen, health, given):
-    """Take the compass back after it was near the heading of dead reckoning for a while."""
-    compass, level = health.sensors[COMPASS_SENSOR], health.heading_level
+def _readmit_compass(heading, size, level, T, frozen, health, given):
+    """Take the compass back after it was near the heading of dead reckoning for a while.
+
+    ``size`` is by how much it contradicts the yaw rate, ``level`` what is typical of that, rad.
+    """
+    compass = health.sensors[COMPASS_SENSOR]
     lasted = health.clock - compass.since
     gate = CLEAR * level + GATE + BIAS_SDS * given.gyro_bias_sd * lasted
     near = abs(wrap(heading - health.reckoned_heading)) < gate and not frozen
     compass.calm = compass.calm + T if near else 0.0
-    follows = size < CLEAR * level and not frozen
+    known = _is_course_known(health)
+    aside = known and abs(health.drift_angle) > AHEAD
+    follows = size < CLEAR * level and not (frozen or aside)
     compass.followed = compass.followed + T if follows else 0.0
     # the gyro says that it turns rightly, and the course that it points ahead
-    ahead = health.drift_time > DRIFT_TIME and abs(health.drift_angle) < AHEAD
-    agreed = ahead and compass.followed > CALM_COURSE
-    if compass.calm > CALM or agreed or (lasted > GIVE_IN and follows):
+    agreed = (known or lasted > GIVE_IN) and compass.followed > CALM_COURSE
+    if compass.calm > CALM or agreed:
         set_status(health, COMPASS_SENSOR, OK, NO_REASON)
         health.heading_sum = 0.0
+
+
+@inlined
+def _least_level(dt, given):
+    """Return the least typical size of the sum of compass minus gyro, by the data sheets, rad."""
+    drift = given.gyro_sd * math.sqrt(max(dt, SHORTEST_STEP)) + BIAS_SDS * given.gyro_bias_sd
+    return math.sqrt(2.0) * given.compass_sd + COMPASS_RESOLUTION + drift * SUM_TIME
 
 
 @inlined
 def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
     """Add what the compass turned more than the gyro to the sum, and act on it."""
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
-    T = health.gyro_time
-    floor = math.sqrt(2.0) * given.compass_sd + COMPASS_RESOLUTION
-    floor += (
-        given.gyro_sd * math.sqrt(max(dt, SHORTEST_STEP)) + BIAS_SDS * given.gyro_bias_sd
-    ) * SUM_TIME
+    T, floor = health.gyro_time, _least_level(dt, given)
     health.heading_sum = health.heading_sum * math.exp(-T / SUM_TIME) + step
     size = abs(health.heading_sum)
     trusted = compass.status == OK and gyro.status == OK
@@ -208,10 +235,14 @@ def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
         _learn_gyro_bias(step, level, T, health, given)
     if compass.status != EXCLUDED and gyro.status != EXCLUDED:
         _find_fault(step, T, frozen_compass, health, given)
-    elif gyro.status == EXCLUDED:
-        _readmit_gyro(size, level, T, health)
+    else:
+        voted = compass.reason == AT_ODDS or gyro.reason == AT_ODDS
+        if size > ALARM * level and voted:
+            _vote_again(health)
+        if gyro.status == EXCLUDED:
+            _readmit_gyro(size, level, T, health)
     if compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
-        _readmit_compass(heading, size, T, frozen_compass, health, given)
+        _readmit_compass(heading, size, level, T, frozen_compass, health, given)
 
 
 @kernel
@@ -230,8 +261,12 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
     jumped = abs(step) > JUMP_FREE + JUMP_TURN * given.max_turn * T
     if ready and compass.status != EXCLUDED and jumped:
         exclude(health, COMPASS_SENSOR, JUMPED)
-    if math.isfinite(step) and health.gyro_gap < GAP_SHARE * T and T < STEP_MAX:
-        _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
+    if math.isfinite(step) and T < STEP_MAX:
+        if health.gyro_gap < GAP_SHARE * T:
+            _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
+        elif compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
+            level = max(health.heading_level, _least_level(dt, given))
+            _readmit_compass(z[COMPASS], abs(step), level, T, frozen, health, given)
     health.gyro_turn = health.gyro_time = health.gyro_gap = 0.0
 
 
@@ -332,6 +367,9 @@ def check_course(z, new_gps, health, given):
     """Hold the course over ground against gyro and compass, to tell whose heading is wrong."""
     if not new_gps or not (math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])):
         return
+    if is_velocity_doubted(health):
+        health.drift_time = 0.0
+        return
     if math.hypot(z[GPS_VX], z[GPS_VY]) < SLOW * given.speed:
         health.course = math.nan
         health.drift_time = 0.0
@@ -350,5 +388,8 @@ def check_course(z, new_gps, health, given):
     health.drift_angle = wrap(health.drift_angle + share * wrap(drift - health.drift_angle))
     health.drift_time += T
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
+    alone = gyro.status != OK and compass.status == OK  # nothing else tells that it is stuck
+    if alone and is_frozen(compass) and abs(health.course_minus_compass) > AHEAD:
+        exclude(health, COMPASS_SENSOR, FROZEN)
     if compass.status == OK and gyro.status == OK:
         _learn_lag(T, health.gyro_rate, wrap(course - heading), health)

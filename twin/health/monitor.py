@@ -43,7 +43,16 @@ _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
 
 _CURRENT = slice(field_at(HEALTH, "current"), field_at(HEALTH, "current") + 3)
 
-_LATER = ("wind.", "turn", "current", "velocity_repeated", "velocity_longest", "sensors.in_use")
+_LATER = (
+    "wind.",
+    "turn",
+    "current",
+    "velocity_step",
+    "accel_mean",
+    "velocity_repeated",
+    "velocity_longest",
+    "sensors.in_use",
+)
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""
 

@@ -31,7 +31,9 @@ from twin.health.state import (
     OK,
     RELEASED,
     RETURNING,
+    STEPPED,
     VELOCITY_FROZEN,
+    VELOCITY_WRONG,
 )
 from usv_kernel.channels import GPS_VX, GPS_VY, GPS_X, GPS_Y
 from usv_kernel.jit import inlined, kernel
@@ -77,6 +79,10 @@ right if they follow their own velocity: dead reckoning began at a wrong place."
 
 STEP_SURE = 3.0
 """Standard deviations of a velocity's step that no acceleration explains."""
+
+CALM_VELOCITY = 3.0
+"""After its velocity stepped, a GPS whose fixes were near dead reckoning for so long (s) is used
+without it."""
 
 CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
 """An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
@@ -154,8 +160,11 @@ def _is_released(z, health, given):
 
 
 @inlined
-def _readmit(z, T, size, pull, frozen, health, given):
-    """Take the GPS back after it was near dead reckoning for a while."""
+def _readmit(z, T, follows, frozen, health, given):
+    """Take the GPS back after it was near dead reckoning for a while.
+
+    ``follows`` tells whether its fixes follow its velocity, if it gives one.
+    """
     gps = health.sensors[GPS]
     if gps.reason == IMPOSSIBLE:
         return
@@ -165,24 +174,41 @@ def _readmit(z, T, size, pull, frozen, health, given):
     )
     gate = CLEAR * level + (GATE_LOST if heading_lost else GATE) * given.speed * lasted
     error = math.hypot(z[GPS_X] - health.reckoned[0], z[GPS_Y] - health.reckoned[1])
-    follows = size < CLEAR * level and pull < CLEAR and not frozen
+    near = error < gate and not frozen
     if not follows:
         # the next fix begins a new track
         _begin_sum(health)
         _begin_pull(health)
     gps.followed = gps.followed + T if follows else 0.0
-    gps.calm = gps.calm + T if error < gate and follows else 0.0
+    stepped = gps.reason == STEPPED
+    gps.calm = gps.calm + T if near and (follows or stepped) else 0.0
+    if stepped and gps.calm > CALM_VELOCITY and gps.followed < CALM:
+        set_status(health, GPS, DOUBTFUL, VELOCITY_WRONG)
+        return
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
     # dead reckoning is worth as much as the fixes from which it began
     most = min(max(gps.in_use, LOST_TIME), GIVE_IN)
     if gps.reason == RETURNING or gps.reason == RELEASED:
         most = LOST_TIME
     lasting = lasted > most and gps.followed > CALM_LONG
-    if gps.calm > CALM or alive or lasting:
+    calm = gps.calm > CALM and follows and (not stepped or gps.followed > CALM_VELOCITY)
+    if calm or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
         _begin_pull(health)
         health.velocity_sum[0] = health.velocity_sum[1] = 0.0
+
+
+@inlined
+def _take_velocity_back(T, follows, health):
+    """Use the velocity again after the fixes followed it for a while."""
+    gps = health.sensors[GPS]
+    gps.calm = gps.calm + T if follows else 0.0
+    if not follows:
+        _begin_sum(health)
+        _begin_pull(health)
+    if gps.calm > CALM_LONG:
+        set_status(health, GPS, OK, NO_REASON)
 
 
 @kernel
@@ -215,19 +241,23 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     health.position_sum[0] = health.position_sum[0] * fade + step_x
     health.position_sum[1] = health.position_sum[1] * fade + step_y
     size = math.hypot(health.position_sum[0], health.position_sum[1])
-    floor = math.sqrt(2.0) * given.gps_sd + FLOOR + given.doppler_sd * VELOCITY_TIME
-    if not doppler:
-        floor += RECKONED_SHARE * given.speed * SUM_TIME
-    floor += STEP_SHARE * given.speed * T
+    noise = math.sqrt(2.0) * given.gps_sd + FLOOR + given.doppler_sd * VELOCITY_TIME
+    noise += STEP_SHARE * given.speed * T
+    floor = noise if doppler else noise + RECKONED_SHARE * given.speed * SUM_TIME
     level = typical_size(
         health.position_level, size, floor, T, health.clock, gps.status != EXCLUDED
     )
     health.position_level = level
     jumped = math.hypot(step_x, step_y) > (
-        max(ALARM * level, JUMP_MIN) + JUMP_SHARE * given.speed * T
+        max(ALARM * level * noise / floor, JUMP_MIN) + JUMP_SHARE * given.speed * T
     )
     pull = _pull(step_x, step_y, T, health, given)
-    if gps.status != EXCLUDED:
+    follows = not (jumped or frozen)
+    if doppler:
+        follows = follows and size < CLEAR * level and pull < CLEAR
+    if gps.status == DOUBTFUL and gps.reason == VELOCITY_WRONG and not jumped:
+        _take_velocity_back(T, follows, health)
+    elif gps.status != EXCLUDED:
         if jumped:
             exclude(health, GPS, RELEASED if _is_released(z, health, given) else JUMPED)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
@@ -237,5 +267,4 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
         if jumped:
             _begin_sum(health)
             _begin_pull(health)
-            size = pull = 0.0
-        _readmit(z, T, size, pull, frozen, health, given)
+        _readmit(z, T, follows, frozen, health, given)

@@ -28,6 +28,7 @@ from twin.health.state import (
     RETURNING,
     SILENT,
     VELOCITY_FROZEN,
+    VELOCITY_WRONG,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GYRO
 from usv_kernel.jit import inlined, kernel
@@ -249,9 +250,12 @@ def leave_out(health, out):
     for j in range(health.last.shape[0]):
         if math.isfinite(out[j]):
             health.last[j] = out[j]
-    if health.sensors[GPS].status == EXCLUDED:
+    gps = health.sensors[GPS]
+    if gps.status == EXCLUDED:
         for j in range(GPS_X, COMPASS):
             out[j] = math.nan
+    elif gps.reason == VELOCITY_WRONG:
+        out[GPS_VX] = out[GPS_VY] = math.nan
     if health.sensors[COMPASS_SENSOR].status == EXCLUDED:
         out[COMPASS] = math.nan
     if health.sensors[GYRO_SENSOR].status == EXCLUDED:

@@ -60,6 +60,8 @@ REASONS = (
     "repeats its velocity, which is not used",
     "has gone silent",
     "jumped in place and velocity: it may have been drawn away until then",
+    "changed its velocity at once, though no accelerometer felt it",
+    "gives a velocity that contradicts its fixes, and which is not used",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -81,6 +83,8 @@ REASONS = (
     VELOCITY_FROZEN,
     SILENT,
     RELEASED,
+    STEPPED,
+    VELOCITY_WRONG,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(
@@ -204,6 +208,8 @@ HEALTH = np.dtype(
         ("accel_bias", "f8", 2),  # of forward and starboard, m/s2
         ("velocity_sum", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
         ("velocity_level", "f8"),  # its typical size, m/s
+        ("velocity_step", "f8", 2),  # velocity minus acceleration of the last fix alone, m/s
+        ("accel_mean", "f8", 2),  # mean acceleration over ground before it, m/s2
         ("velocity_repeated", "f8"),  # how long the velocity has repeated itself, s
         ("velocity_longest", "f8"),  # longest repetition while it was right, s
         # velocity of the water by the model, and whether it is plausible

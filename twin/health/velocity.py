@@ -6,11 +6,13 @@ import math
 
 from twin.channels import PSI
 from twin.health.evidence import (
+    ALARM,
     CALM,
     CLEAR,
     exclude,
     is_fault,
     is_frozen,
+    is_velocity_doubted,
     learning_share,
     limited,
     set_status,
@@ -29,6 +31,7 @@ from twin.health.state import (
     NO_REASON,
     OK,
     RELEASED,
+    STEPPED,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY
 from usv_kernel.jit import inlined, kernel
@@ -47,6 +50,10 @@ SHORTEST_STEP = 0.01
 
 STEP_MAX, GAP_SHARE = 3.0, 0.2
 """Steps that are longer (s), or in which accelerometers miss a larger share, are not used."""
+
+FELT = 0.5
+"""A velocity did not step by itself where the reading of the accelerometers jumped by this share of
+it, or where the step before was as large: then they are at fault."""
 
 BIAS_SIZE, BIAS_REACH, BIAS_FLOOR = 3.0, 5.0, 0.02
 """A bias is learned from steps of up to so many levels, and up to so many standard deviations of
@@ -93,12 +100,37 @@ def _find_fault(size, T, health, given):
 
 
 @inlined
+def _has_stepped(step_x, step_y, T, health, given):
+    """Return whether the velocity changed at once; remember its step and the acceleration.
+
+    A fault of the accelerometers makes all further steps alike, and their readings jump with it.
+    """
+    mean_x, mean_y = health.accel_gain[0] / max(T, 1e-3), health.accel_gain[1] / max(T, 1e-3)
+    size, before = (
+        math.hypot(step_x, step_y),
+        math.hypot(health.velocity_step[0], health.velocity_step[1]),
+    )
+    felt = T * math.hypot(mean_x - health.accel_mean[0], mean_y - health.accel_mean[1])
+    health.velocity_step[0], health.velocity_step[1] = step_x, step_y
+    health.accel_mean[0], health.accel_mean[1] = mean_x, mean_y
+    typical = health.velocity_level * math.sqrt(min(2.0 * T / SUM_TIME, 1.0))
+    typical = max(typical, math.sqrt(2.0) * given.doppler_sd)
+    sudden = size > ALARM * typical and before < FELT * size
+    return health.velocity_level > 0.0 and sudden and felt < FELT * size
+
+
+@inlined
 def _hold_against_accelerometers(dt, z, s, health, given):
     """Add what the velocity gained more than the accelerometers say to the sum, and act on it."""
     accel, gps = health.sensors[ACCELEROMETERS], health.sensors[GPS]
     T = health.velocity_time
     step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
     step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
+    trusted = accel.status == OK and gps.status != EXCLUDED
+    if _has_stepped(step_x, step_y, T, health, given) and trusted:
+        exclude(health, GPS, STEPPED)
+        health.velocity_sum[0] = health.velocity_sum[1] = 0.0
+        return
     fade = math.exp(-T / SUM_TIME)
     health.velocity_sum[0] = health.velocity_sum[0] * fade + step_x
     health.velocity_sum[1] = health.velocity_sum[1] * fade + step_y
@@ -106,7 +138,6 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     floor = math.sqrt(2.0) * given.doppler_sd + given.accel_bias_sd * SUM_TIME + given.tilt
     floor += given.accel_sd * math.sqrt(0.5 * max(dt, SHORTEST_STEP) * SUM_TIME) + FLOOR
     floor += given.arm * ARM_TURN / given.time_scale
-    trusted = accel.status == OK and gps.status != EXCLUDED
     level = typical_size(health.velocity_level, size, floor, T, health.clock, trusted)
     health.velocity_level = level
     if trusted:
@@ -130,6 +161,7 @@ def _is_reference_lost(health):
     """Return whether heading or velocity are in doubt: the accelerometers cannot be checked."""
     gps = health.sensors[GPS]
     lost = gps.status == EXCLUDED and gps.reason != RELEASED
+    lost = lost or is_velocity_doubted(health)
     for sensor in (COMPASS_SENSOR, GYRO_SENSOR):
         lost = lost or health.sensors[sensor].status >= DOUBTFUL
     return lost

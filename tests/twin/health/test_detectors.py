@@ -138,7 +138,7 @@ def test_slow_pull_names_the_gps(manoeuvre, direction, speed):
 @few
 @given(manoeuvres, angles, st.floats(0.5, 1.5))
 def test_gps_that_was_drawn_away_is_soon_trusted_again(manoeuvre, direction, speed):
-    """Nothing tells that it is drawn away; but once it jumps back, its velocity does as well."""
+    """A slow pull shows when it ends, as the velocity jumps back; a fast one at once."""
     north, east = speed * math.cos(direction), speed * math.sin(direction)
 
     def change(rows: Rows) -> None:
@@ -149,8 +149,80 @@ def test_gps_that_was_drawn_away_is_soon_trusted_again(manoeuvre, direction, spe
 
     found = watch_fault(fault(change, 50.0), manoeuvre, after=25.0)
     back = [f for f in found.findings if f.sensor == "gps" and f.status == "excluded"]
-    assert any("drawn away" in f.why for f in back), found.findings
+    assert any("velocity" in f.why for f in back), found.findings
     assert "excluded" not in found.last.values(), found.last
+
+
+@few
+@given(manoeuvres, st.sampled_from(("usv75", "otter", "wamv16")), signs, st.floats(0.6, 2.6))
+def test_compass_turned_for_good_is_not_taken_back(manoeuvre, vessel, sign, angle):
+    """For as long as the course over ground contradicts it, also after a minute."""
+
+    def change(rows: Rows) -> None:
+        rows.z[:, COMPASS] += sign * angle
+
+    found = watch_fault(fault(change, 90.0), manoeuvre, vessel, after=0.0)
+    assert found.last["compass"] == "excluded", found.findings
+
+
+@few
+@given(manoeuvres)
+def test_without_a_gyro_a_compass_comes_back(manoeuvre):
+    def change(rows: Rows) -> None:
+        rows.z[:, COMPASS] = 1e9
+
+    found = watch_fault(fault(change, 20.0), manoeuvre, after=30.0, missing=(GYRO,))
+    assert found.first("compass") < 0.5, found.findings
+    assert found.last["compass"] == "ok", found.findings
+
+
+@few
+@given(manoeuvres)
+def test_without_a_gyro_the_course_names_a_frozen_compass(manoeuvre):
+    found = watch_fault(SENSOR_FAULTS["compass-frozen"], manoeuvre, after=30.0, missing=(GYRO,))
+    assert "compass" in found.named, found.findings
+    assert found.last["compass"] == "ok", found.findings
+
+
+VELOCITY = (GPS_VX, GPS_VY)
+
+
+@few
+@given(manoeuvres, angles)
+def test_without_a_velocity_pulled_fixes_come_back(manoeuvre, direction):
+    def change(rows: Rows) -> None:
+        rows.z[:, GPS_X] += math.cos(direction) * rows.since
+        rows.z[:, GPS_Y] += math.sin(direction) * rows.since
+
+    found = watch_fault(fault(change, 20.0), manoeuvre, after=75.0, missing=VELOCITY)
+    # the current that the pull made may still be doubted
+    assert "excluded" not in found.last.values(), found.findings
+
+
+@few
+@given(manoeuvres, starts, angles, size(25.0, 1e5))
+def test_without_a_velocity_jumps_name_the_gps(manoeuvre, start, direction, distance):
+    def change(rows: Rows) -> None:
+        rows.z[:, GPS_X] += distance * math.cos(direction)
+        rows.z[:, GPS_Y] += distance * math.sin(direction)
+
+    found = watch_fault(fault(change), manoeuvre, start=start, missing=VELOCITY)
+    check(found, "gps", 0.2, start, "jumped")
+
+
+@few
+@given(manoeuvres, st.sampled_from((0.0, -1.0, 1.944)))
+def test_fixes_are_used_though_their_velocity_is_wrong(manoeuvre, factor):
+    """It is zero, of the wrong sign, or in knots."""
+
+    def change(rows: Rows) -> None:
+        rows.z[:, list(VELOCITY)] *= factor
+
+    found = watch_fault(fault(change, 25.0), manoeuvre, after=20.0)
+    assert found.named == {"gps"}, found.findings
+    doubts = [f.after for f in found.findings if "contradicts its fixes" in f.why]
+    assert doubts and doubts[0] < 8.0, found.findings
+    assert set(found.last.values()) == {"ok"}, found.last
 
 
 @few

@@ -54,11 +54,17 @@ class Watch(NamedTuple):
 
 
 @functools.cache
-def base(manoeuvre: str, vessel: str = "usv75") -> tuple[Log, Twin, int]:
-    """Return a run without fault, a twin that has seen its first minute, and its next row."""
+def base(
+    manoeuvre: str, vessel: str = "usv75", missing: tuple[int, ...] = ()
+) -> tuple[Log, Twin, int]:
+    """Return a run without fault, a twin that has seen its first minute, and its next row.
+
+    The boat has no sensor for the channels that are missing.
+    """
     boat = Vessel.load(vessel)
     sea = SeaState(hs=0.5 if vessel == "usv75" else 0.05, wind=4.5)
     log = simulate(manoeuvre, vessel=boat, sea=sea, duration=END, seed=7)
+    log.z[:, list(missing)] = np.nan
     twin = Twin(particulars_of(boat), "ukf")
     first = int(np.searchsorted(log.t, START - 1.0))
     for row in range(first):
@@ -88,9 +94,10 @@ def watch_fault(
     vessel: str = "usv75",
     start: float = START,
     after: float = 15.0,
+    missing: tuple[int, ...] = (),
 ) -> Watch:
     """Return what is said of a fault, from its beginning until some time after its end, s."""
-    log, twin, first = base(manoeuvre, vessel)
+    log, twin, first = base(manoeuvre, vessel, missing)
     end = np.searchsorted(log.t, start + fault.seconds + after)
     faulty = inject(log, fault, start, seed=1)
     return watch(copy.deepcopy(twin), faulty, first, int(end))

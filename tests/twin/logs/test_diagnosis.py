@@ -293,7 +293,7 @@ def test_unknown_particulars_are_to_be_filled_in(tmp_path: Path) -> None:
     with pytest.raises(ParticularsError, match="length, beam, draft, mass"):
         Particulars.load(path)
     for key in ("length", "beam", "draft", "mass"):
-        text = text.replace(f"# {key} = ?", f"{key} = 1.0")
+        text = text.replace(f"# {key} = ?", f"{key} = {300.0 if key == 'mass' else 1.0}")
     path.write_text(text, encoding="utf-8")
     assert Particulars.load(path).steering == "differential"
 
