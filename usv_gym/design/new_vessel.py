@@ -52,6 +52,10 @@ It hangs below the hull, so the draft does not limit it. Drafts of Otter, BlueBo
 pull 5 to 8 times their resistance at full speed at rest; the published pulls are 4 to 11 times it.
 """
 
+PULL = 0.75
+"""Most that they pull at rest over the weight, at service shaft speed. A BlueBoat's pull as much at
+full speed."""
+
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.15, 1.3)
 """Points of the resistance curve, relative to the service speed."""
 
@@ -301,6 +305,31 @@ def _has_pods(given: Given) -> bool:
     return given.hulls == 2 and given.kind == "thruster_pair"
 
 
+def _advance_ratio(coefficients: tuple[float, float, float], load: float) -> float:
+    """Return the advance ratio J at which K_T / J^2 is a load."""
+    k_0, k_1, k_2 = coefficients
+    a = k_2 - load
+    return (-k_1 - math.sqrt(k_1 * k_1 - 4.0 * a * k_0)) / (2.0 * a)
+
+
+def _pod_diameter(
+    given: Given, form: reg.Form, thrust: float, inflow: float, least: float
+) -> float:
+    """Return the diameter of a catamaran's thrusters, m; ``thrust`` is that of each in service.
+
+    It is smaller where the boat would pull more than :data:`PULL` of its weight at rest.
+    """
+    diameter = max(POD * given.hull_beam, least)
+    while diameter > least:
+        load = thrust / (form.water_density * diameter**2 * inflow**2)
+        J = _advance_ratio(K_T_POD, load)
+        pull = 2.0 * form.water_density * K_T_POD[0] * (diameter * inflow / J) ** 2
+        if pull <= PULL * given.mass * GRAVITY:
+            break
+        diameter = max(0.95 * diameter, least)
+    return diameter
+
+
 def _propulsion(
     given: Given, form: reg.Form, service: float, power: float, notes: list[str]
 ) -> dict[str, _Entry]:
@@ -312,13 +341,14 @@ def _propulsion(
     thrust = _resistance(form, service) / (1.0 - deduction) / given.units
     loaded = math.sqrt(8.0 * thrust / (2.5 * math.pi * form.water_density * inflow**2))
     pods = _has_pods(given)
-    usual = POD * given.hull_beam if pods else {1: 0.65, 2: 0.5}[given.units] * d
-    diameter = max(usual, loaded)
+    if pods:
+        diameter = _pod_diameter(given, form, thrust, inflow, loaded)
+    else:
+        diameter = max({1: 0.65, 2: 0.5}[given.units] * d, loaded)
     if diameter > d and not pods:
         notes.append(f"the propeller needs {diameter:.3g} m, more than the draft of {d:.3g} m")
     k_0, k_1, k_2 = K_T_POD if pods else K_T
-    a = k_2 - thrust / (form.water_density * diameter**2 * inflow**2)
-    J = (-k_1 - math.sqrt(k_1 * k_1 - 4.0 * a * k_0)) / (2.0 * a)
+    J = _advance_ratio((k_0, k_1, k_2), thrust / (form.water_density * diameter**2 * inflow**2))
     n = inflow / (J * diameter)
     needed = _resistance(form, service) * service / EFFICIENCY
     reserve = min(max((power / needed) ** (1.0 / 3.0), 1.15), 1.5)
