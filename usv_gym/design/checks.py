@@ -47,6 +47,13 @@ HIGHEST = 0.5
 LEVEL = 0.5
 """Trim up to which a mesh counts as level, degrees."""
 
+WIDEST, SLOWEST = 10.0, 0.06
+"""Of boats that steer by unequal thrust, with one thruster stopped: largest radius in lengths, and
+least yaw rate in speeds of approach over lengths. A recorded BlueBoat has 8 and 0.08."""
+
+WEAK = "it hardly steers: check k_0 to k_2 (thrust, drag of the stopped one), y_P, N_r and D_r."
+"""Hint of those rules."""
+
 NO_TURN = 100.0
 """Turning radius in lengths from which a ship counts as not turning."""
 
@@ -73,7 +80,8 @@ class Inspection:
     speeds: list[dict[str, float]] = field(default_factory=list)
     # eigenvalues of drift and turning on a straight course at service speed, 1/s
     course: dict[str, float] = field(default_factory=dict)
-    # turning circle at the manoeuvring shaft speed and full helm
+    # turning circle at the manoeuvring shaft speed and full helm; a pair of fixed thrusters has no
+    # helm: one of them stops, and the shaft speeds stand in its place
     turn: dict[str, float] = field(default_factory=dict)
     # by sea state: largest angle of the mast from upright, headings on which it capsizes
     seaway: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -160,9 +168,11 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
             turn["tactical_diameter_m"] = abs(float(state[fr.Y]))
     end = math.hypot(state[fr.U], state[fr.V])
     rate = float(state[fr.R])
+    helm = {"helm_deg": math.degrees(vessel.helm_max), "shaft_speed_rps": n}
+    if vessel.kind == "thruster_pair":  # it has no helm
+        helm = {"left_shaft_rps": float(cmd[0]), "right_shaft_rps": float(cmd[1])}
     return {
-        "helm_deg": math.degrees(vessel.helm_max),
-        "shaft_speed_rps": n,
+        **helm,
         **turn,
         "advance_lengths": turn["advance_m"] / L,
         "tactical_diameter_lengths": turn["tactical_diameter_m"] / L,
@@ -484,6 +494,8 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     if not found.course or not found.turn:
         return
     growth, turn = found.course["first_real"], found.turn
+    pair = vessel.kind == "thruster_pair"
+    full = "one thruster stopped" if pair else "full helm"
     if growth > 0.0:
         yield Finding(
             False,
@@ -496,21 +508,34 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     elif turn["largest_heel_deg"] >= math.degrees(CAPSIZED):
         yield Finding(
             True,
-            f"Full helm at {turn['approach_speed_mps']:.3g} m/s capsizes the ship: GM_T "
+            f"{full.capitalize()} at {turn['approach_speed_mps']:.3g} m/s capsizes the ship: GM_T "
             f"({vessel.values['GM_T']:.3g} m) is too small, or KG, z_H and z_P lie too far apart.",
         )
     elif rate < 0.0:
-        yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
+        what = "Thrust on the port side" if pair else "Helm to starboard"
+        yield Finding(True, f"{what} turns the ship to port ({rate:.3g} deg/s).")
     elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
-        yield Finding(True, f"With full helm the ship hardly turns: {rate:.3g} deg/s at the end.")
+        yield Finding(True, f"With {full} the ship hardly turns: {rate:.3g} deg/s at the end.")
     else:
         L = vessel.values["length_waterline"]
         radius, drift = turn["steady_radius_m"] / L, turn["drift_angle_deg"]
-        # slender hulls need little thrust ahead, and so have little of it to turn them
-        widest = 30.0 if vessel.two_hulls else 10.0
+        widest = 30.0 if vessel.two_hulls and not pair else WIDEST
+        hint = (WEAK,) if pair else ()
+        if pair:
+            yield from _thruster_rules(turn, L)
         yield from _outside(
-            ("The steady turning radius in lengths", radius, 0.2, widest),
+            ("The steady turning radius in lengths", radius, 0.2, widest, *hint),
             ("The drift angle in the steady turn, degrees,", drift, -10.0, 45.0),
-            ("The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0),
+            (f"The heel with {full}, degrees,", turn["largest_heel_deg"], 0.0, 25.0),
             ("The speed in the steady turn over that of the approach", speed, 0.1, 2.5),
         )
+
+
+def _thruster_rules(turn: dict[str, float], length: float) -> Findings:
+    """Yield a finding for a boat that turns slowly with one of its fixed thrusters stopped."""
+    pace = math.radians(turn["steady_rate_degps"]) * length / turn["approach_speed_mps"]
+    what = (
+        f"The yaw rate with one thruster stopped ({turn['steady_rate_degps']:.3g} deg/s) in speeds "
+        "of approach over lengths"
+    )
+    yield from _outside((what, pace, SLOWEST, 5.0, WEAK))

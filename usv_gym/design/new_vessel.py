@@ -37,6 +37,25 @@ VISCOSITY = 1.19e-6
 K_T = (0.45, -0.35, -0.05)
 """Thrust coefficients of a fixed propeller of pitch over diameter near 1."""
 
+K_T_POD = (0.45, -0.12, -0.26)
+"""The same of a fixed thruster that may stand still while the boat moves on.
+
+Pull at rest, and the advance ratio 1.1 without thrust, are those of :data:`K_T`. ``k_2`` is the
+drag of a stopped propeller: 1.2 of the dynamic pressure on blades that fill 0.55 of the disk
+(Larsson and Eliasson, Principles of Yacht Design).
+"""
+
+POD = 0.8
+"""Diameter of a catamaran's thruster over the beam of its hull, as the Otter's.
+
+It hangs below the hull, so the draft does not limit it. Drafts of Otter, BlueBoat and WAM-V 16 then
+pull 5 to 8 times their resistance at full speed at rest; the published pulls are 4 to 11 times it.
+"""
+
+PULL = 0.75
+"""Most that they pull at rest over the weight, at service shaft speed. A BlueBoat's pull as much at
+full speed."""
+
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.15, 1.3)
 """Points of the resistance curve, relative to the service speed."""
 
@@ -281,6 +300,36 @@ def _hull(
     }
 
 
+def _has_pods(given: Given) -> bool:
+    """Return whether it is a catamaran that steers with a fixed thruster below each hull."""
+    return given.hulls == 2 and given.kind == "thruster_pair"
+
+
+def _advance_ratio(coefficients: tuple[float, float, float], load: float) -> float:
+    """Return the advance ratio J at which K_T / J^2 is a load."""
+    k_0, k_1, k_2 = coefficients
+    a = k_2 - load
+    return (-k_1 - math.sqrt(k_1 * k_1 - 4.0 * a * k_0)) / (2.0 * a)
+
+
+def _pod_diameter(
+    given: Given, form: reg.Form, thrust: float, inflow: float, least: float
+) -> float:
+    """Return the diameter of a catamaran's thrusters, m; ``thrust`` is that of each in service.
+
+    It is smaller where the boat would pull more than :data:`PULL` of its weight at rest.
+    """
+    diameter = max(POD * given.hull_beam, least)
+    while diameter > least:
+        load = thrust / (form.water_density * diameter**2 * inflow**2)
+        J = _advance_ratio(K_T_POD, load)
+        pull = 2.0 * form.water_density * K_T_POD[0] * (diameter * inflow / J) ** 2
+        if pull <= PULL * given.mass * GRAVITY:
+            break
+        diameter = max(0.95 * diameter, least)
+    return diameter
+
+
 def _propulsion(
     given: Given, form: reg.Form, service: float, power: float, notes: list[str]
 ) -> dict[str, _Entry]:
@@ -291,12 +340,15 @@ def _propulsion(
     inflow = (1.0 - wake) * service
     thrust = _resistance(form, service) / (1.0 - deduction) / given.units
     loaded = math.sqrt(8.0 * thrust / (2.5 * math.pi * form.water_density * inflow**2))
-    diameter = max({1: 0.65, 2: 0.5}[given.units] * d, loaded)
-    if diameter > d:
+    pods = _has_pods(given)
+    if pods:
+        diameter = _pod_diameter(given, form, thrust, inflow, loaded)
+    else:
+        diameter = max({1: 0.65, 2: 0.5}[given.units] * d, loaded)
+    if diameter > d and not pods:
         notes.append(f"the propeller needs {diameter:.3g} m, more than the draft of {d:.3g} m")
-    k_0, k_1, k_2 = K_T
-    a = k_2 - thrust / (form.water_density * diameter**2 * inflow**2)
-    J = (-k_1 - math.sqrt(k_1 * k_1 - 4.0 * a * k_0)) / (2.0 * a)
+    k_0, k_1, k_2 = K_T_POD if pods else K_T
+    J = _advance_ratio((k_0, k_1, k_2), thrust / (form.water_density * diameter**2 * inflow**2))
     n = inflow / (J * diameter)
     needed = _resistance(form, service) * service / EFFICIENCY
     reserve = min(max((power / needed) ** (1.0 / 3.0), 1.15), 1.5)
@@ -307,9 +359,13 @@ def _propulsion(
     if given.hulls == 2 and given.units == 2:
         across = _Entry(0.5 * given.spacing, "behind each hull")
     fixed = "fixed propeller, pitch over diameter near 1"
+    deep, size = _Entry(0.7 * d if rudder else d, "behind the hull, or at the keel"), "draft"
+    if pods:
+        fixed += ", with the drag of a stopped one"
+        deep, size = _Entry(max(d, 0.7 * diameter), "below the hulls, under water"), "hull's beam"
     entries = {
         "units": _givened(given, "units", "typical for the kind"),
-        "propeller_diameter": _Entry(diameter, "a share of the draft, or by its thrust"),
+        "propeller_diameter": _Entry(diameter, f"a share of the {size}, or by its thrust"),
         "k_0": _Entry(k_0, fixed),
         "k_1": _Entry(k_1, fixed),
         "k_2": _Entry(k_2, fixed),
@@ -317,7 +373,7 @@ def _propulsion(
         "wake_fraction": _Entry(wake, "Taylor, one screw" if rudder else "open drives"),
         "thrust_deduction": _Entry(deduction, "0.6 of the wake" if rudder else "open drives"),
         "y_P": across,
-        "z_P": _Entry(0.7 * d if rudder else d, "behind the hull, or at the keel"),
+        "z_P": deep,
         "shaft_lag": _Entry(min(max(0.25 * math.sqrt(L), 0.1), 5.0), "engines of that size"),
         "shaft_rate": _Entry(top / min(max(0.25 * math.sqrt(L), 0.1), 5.0), "from the lag"),
         "shaft_speed_max": _Entry(top, f"{reserve:.2f} of service"),
