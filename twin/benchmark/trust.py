@@ -35,6 +35,7 @@ from twin.benchmark.trust_answers import (
     other_boat,
     parameter_answer,
     sensor_answer,
+    with_parameters_in_use,
 )
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
@@ -44,7 +45,7 @@ from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
-from twin.predictors.base import Z90, Prediction
+from twin.predictors.base import Z90, Estimate, ParametersInUse, Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_kernel.scalar import wrap
 
@@ -169,6 +170,7 @@ class Verdict:
     losses: tuple[GpsLoss, ...]
     # names, and deviation from the prior in its standard deviations, largest first
     deviations: tuple[tuple[str, float], ...]
+    in_use: ParametersInUse | None = None  # None where the predictor has no choice
 
     @property
     def colour(self) -> str:
@@ -191,17 +193,20 @@ class Verdict:
             "log": self.log,
             "predictor": self.predictor,
             "colour": self.colour,
-            "answers": [dataclasses.asdict(answer) for answer in self.answers],
+            "answers": [answer.to_json() for answer in self.answers],
             "gps_losses": [
                 {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
                 for loss in self.losses
             ],
             "deviations_in_prior_sd": dict(self.deviations),
+            "parameters_in_use": None if self.in_use is None else self.in_use.name,
         }
 
 
 def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
-    """Return one verdict on several runs of a boat: of each answer, one of the worst colour.
+    """Return one verdict on several runs of a boat: of each answer, the worst one.
+
+    Of answers of one colour, that with the worst number.
 
     Parameters
     ----------
@@ -211,7 +216,7 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
     answers = []
     for about in dict.fromkeys(answer.about for each in verdicts for answer in each.answers):
         found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
-        log, worst = max(found, key=lambda pair: COLOURS.index(pair[1].colour))
+        log, worst = max(found, key=lambda pair: _badness(pair[1]))
         same = sum(pair[1].colour == worst.colour for pair in found)
         count = f"{same} of {len(found)}" if same < len(found) else f"all {len(found)}"
         runs = f"; {count} runs {worst.colour}" if len(found) > 1 else ""
@@ -228,6 +233,12 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
         losses=tuple(loss for each in verdicts for loss in each.losses),
         deviations=tuple(sorted(deviations.items(), key=lambda pair: -pair[1])),
     )
+
+
+def _badness(answer: Answer) -> tuple[int, tuple[float, ...]]:
+    """Return what orders answers: by colour, then by the number."""
+    # where there is none, the log cannot tell: it has no worse number than another
+    return COLOURS.index(answer.colour), answer.badness
 
 
 def position_bound(particulars: Particulars) -> float:
@@ -364,10 +375,13 @@ class TrustMeter:
         findings : sequence of Finding
             Of ``twin.logs.diagnosis.diagnose``.
         """
-        deviations, drag = self._deviations()
+        in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
+        last = self._judged(in_use)
+        deviations, drag = self._deviations(last)
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         other = other_boat(self.log, self.particulars)
-        parameters = parameter_answer(deviations, self._reversed(), drag, other)
+        parameters = parameter_answer(deviations, self._reversed(last), drag, other, own)
+        parameters = with_parameters_in_use(parameters, in_use, own)
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
         elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
@@ -385,7 +399,16 @@ class TrustMeter:
             forecasts=tuple(self.forecasts),
             losses=tuple(self.losses),
             deviations=tuple(deviations),
+            in_use=in_use,
         )
+
+    def _judged(self, in_use: ParametersInUse | None) -> Estimate:
+        """Return the last estimate, with the best refit's parameters where the prior is in use."""
+        last = self.twin.estimate()
+        if in_use is None or not in_use.is_prior or in_use.refit is None:
+            return last
+        mean, sd = in_use.refit
+        return dataclasses.replace(last, params=mean, params_sd=sd)
 
     def _forecast_answer(self) -> Answer:
         if not self.forecasts:
@@ -411,7 +434,13 @@ class TrustMeter:
             "persistence_heading_rad": float(held[1]),
         }
         colour = _colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER, self._seconds)
-        return Answer("forecast", colour, text, numbers)
+        above = [
+            f"{name} {value:.2f} times persistence, green up to {RATIO_GREEN:g}"
+            for name, value, fine in zip(("position", "heading"), ratio, small, strict=True)
+            if value > RATIO_GREEN and not fine
+        ]
+        text += _why(above, worst > RATIO_AMBER, self._seconds)
+        return Answer("forecast", colour, text, numbers, (worst, float(ratio.max())))
 
     def _coverage_answer(self) -> Answer:
         if not self.forecasts:
@@ -424,8 +453,16 @@ class TrustMeter:
         )
         worst = min(place, heading)
         seconds = self._seconds
-        colour = _colour(worst >= _coverage_bound(seconds), worst >= COVERAGE_AMBER, seconds)
-        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+        bound = _coverage_bound(seconds)
+        colour = _colour(worst >= bound, worst >= COVERAGE_AMBER, seconds)
+        below = [
+            f"{name} below {bound:.0%}"
+            for name, share in (("positions", place), ("headings", heading))
+            if share < bound
+        ]
+        text += _why(below, worst < COVERAGE_AMBER, seconds)
+        numbers = {"position": place, "heading": heading}
+        return Answer("coverage", colour, text, numbers, (-worst, -max(place, heading)))
 
     def _tilt_answer(self) -> Answer:
         if (found := self._tilt.score()) is None:
@@ -444,10 +481,20 @@ class TrustMeter:
             worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
             found.seconds,
         )
-        if colour != GREEN and found.seconds < SCORED_MIN:
-            text += f" (over {found.seconds:.0f} s: too few to judge)"
+        bound, names = _coverage_bound(found.seconds), ("roll", "pitch")
+        reasons = [
+            f"{name} {value:.2f} times the held angle, green up to {RATIO_GREEN:g}"
+            for name, value in zip(names, ratio, strict=True)
+            if value > RATIO_GREEN
+        ]
+        reasons += [
+            f"{name} below {bound:.0%}"
+            for name, share in zip(names, found.inside, strict=True)
+            if share < bound
+        ]
+        text += _why(reasons, worst > RATIO_AMBER or inside < COVERAGE_AMBER, found.seconds)
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
-        return Answer("attitude", colour, text, numbers)
+        return Answer("attitude", colour, text, numbers, (worst, -inside))
 
     @property
     def _seconds(self) -> float:
@@ -470,12 +517,12 @@ class TrustMeter:
         median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
         at_least = "at least " if held[median] else ""
         end = float(np.median([loss.error[-1] for loss in self.losses]))
-        tried = "one loss"
-        if len(bears) > 1:
-            tried = f"worst {min(bears):.0f} s; median of {len(bears)} losses"
+        many = len(bears) > 1
+        tried = f"median of {len(bears)} losses" if many else "one loss"
         text = (
-            f"bears {at_least}{bears[median]:.0f} s until {self.bound:.3g} m off ({tried} of "
-            f"{self._loss_length:.0f} s; {end:.1f} m off at the end)"
+            f"position within {self.bound:.3g} m for {at_least}{bears[median]:.0f} s "
+            f"({tried} of {self._loss_length:.0f} s{f'; shortest {min(bears):.0f} s' * many}); "
+            f"{'median ' * many}error at the end {end:.1f} m"
         )
         numbers = {
             "bound_m": self.bound,
@@ -485,14 +532,16 @@ class TrustMeter:
         }
         typical = counted[median]
         colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
-        return Answer("without GPS", colour, text, numbers)
+        if colour != GREEN:
+            text += f"; green from {BEARS_GREEN:g} s on"
+        return Answer("without GPS", colour, text, numbers, (-typical, end))
 
-    def _deviations(self) -> tuple[list[tuple[str, float]], float]:
+    def _deviations(self, last: Estimate) -> tuple[list[tuple[str, float]], float]:
         """Return how far parameters ended from the prior, in its deviations; and a factor.
 
         The factor is that of drag where the prior was rough, else 1.
         """
-        last, names = self.twin.estimate(), self.twin.predictor.parameter_names
+        names = self.twin.predictor.parameter_names
         mean, sd, factor = self.prior.params, self.prior.params_sd, 1.0
         own = self.particulars.prior is not None
         if len(names) and kind_of(self.particulars) == "differential" and not own:
@@ -503,13 +552,13 @@ class TrustMeter:
         ]
         return sorted(pairs, key=lambda pair: -pair[1]), factor
 
-    def _reversed(self) -> list[str]:
+    def _reversed(self, last: Estimate) -> list[str]:
         """Return the effects of commands that ended with the other sign, where both are sure.
 
         An effect and the damping of its motion that are both reversed are the two sides of one
         equation: a steady run has shown their ratio only.
         """
-        last, prior = self.twin.estimate(), self.prior
+        prior = self.prior
         before, after = prior.params, last.params
         names = self.twin.predictor.parameter_names
         known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
@@ -533,6 +582,17 @@ def _coverage_bound(seconds: float) -> float:
 def _colour(is_green: bool, is_amber: bool, seconds: float) -> str:
     """Return the colour of scores of forecasts over a time, s; few of them are never red."""
     return GREEN if is_green else AMBER if is_amber or seconds < SCORED_MIN else RED
+
+
+def _why(reasons: Sequence[str], is_bad: bool, seconds: float) -> str:
+    """Return which of the scores are not green, as the end of a sentence; empty if all are.
+
+    ``is_bad``: they would be red, of forecasts over :data:`SCORED_MIN` or more.
+    """
+    if not reasons:
+        return ""
+    short = f" (over {seconds:.0f} s: too few to judge)" if is_bad and seconds < SCORED_MIN else ""
+    return f": {'; '.join(reasons)}{short}"
 
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,7 +91,15 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
 
 def _parameters(ax: Axes, verdict: Verdict) -> None:
     """Draw the parameters that went furthest from the prior."""
-    set_title(ax, "largest changes of parameters")
+    in_use = verdict.in_use
+    of_refit = in_use is not None and in_use.is_prior
+    title = "best refit, not in use: the prior is" if of_refit else "largest changes of parameters"
+    set_title(ax, title)
+    if of_refit and in_use.refit is None or not verdict.deviations:
+        why = in_use.name if of_refit else "the predictor has no parameters"
+        ax.text(0.5, 0.5, fill(why, 28), ha="center", va="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return
     shown = dict(verdict.deviations[:_BARS])
     sizes = [min(size, 4.0 * FAR) for size in shown.values()]
     colours = [ORANGE if size > FAR else BLUE for size in sizes]
