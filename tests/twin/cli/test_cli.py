@@ -345,6 +345,19 @@ def test_a_predictor_that_cannot_run_has_a_row_of_its_own(capsys):
     assert "no [torch]" in out
 
 
+def test_the_end_of_a_loss_is_explained_only_where_it_is_shown(capsys):
+    rows = [
+        {"folder": "pond", "fault": "none", "plan": "known", "predictor": "ukf", "channel": channel}
+        | {"runs": 3, "error": 1.0, "ratio": 0.5}
+        for channel in ("displacement", "psi")
+    ]
+    lost = [row | {"fault": "gps10"} for row in rows]
+    end = lost[0] | {"error_m": 2.0, "said_m": 3.0}
+    for recorded, losses, shown in ((rows, [], False), (lost, [end], True)):
+        print_verdict({"verdict": [], "notes": [], "recorded": recorded, "losses": losses})
+        assert ("End of loss" in capsys.readouterr().out) == shown
+
+
 def test_the_table_fits_into_80_columns(capsys, monkeypatch):
     monkeypatch.setattr(console, "_width", 80)
     cell = {"scenario": "turn-zigzag", "fault": "gps10", "plan": "known"}
