@@ -160,6 +160,17 @@ def test_predict_prints_intervals_and_writes_them(folder):
     run("predict", folder / "run.csv", "--plan", plan)
 
 
+def test_predict_says_that_the_twin_had_no_time_to_learn(folder):
+    def said(*options):
+        found = run("predict", folder / "run.csv", *options)
+        return " ".join((found.stdout + found.stderr).split())
+
+    words = "it had no time to learn the boat"
+    assert f"seen 2.0 s of data: {words}" in said("--at", "2")
+    assert words not in said("--at", "2", "--predictor", "persistence")
+    assert words not in said("--at", "30")
+
+
 def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     log = tmp_path / "deck.csv"
     run("simulate", "heading135", "--dof", "6", "--duration", "60", "--sea", "3", "-o", log)
