@@ -35,6 +35,7 @@ from twin.benchmark.trust_answers import (
     other_boat,
     parameter_answer,
     sensor_answer,
+    turned_effects,
     with_parameters_in_use,
 )
 from twin.boat_prior import ENVIRONMENT
@@ -74,6 +75,9 @@ STEP = 0.25
 RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
 """Error over that of persistence, up to which a forecast is green or amber."""
 
+RATIO_LIMITS = f"green up to {RATIO_GREEN:g}, red above {RATIO_AMBER:g}"
+"""The same in words, beside a ratio that is not green."""
+
 COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
 """Share inside the claimed 90 %, from which on it is green or amber ..."""
 
@@ -85,23 +89,6 @@ STEADY = 2.0
 
 BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
 """Seconds without GPS from which on they are green or amber."""
-
-SURE_BEFORE, SURE_AFTER = 1.5, 2.0
-"""Standard deviations by which a sign was known before and after, where it is said to be other."""
-
-EFFECTS = {
-    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
-    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
-    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
-}
-"""Parameters that say what commands do, and their equations."""
-
-DAMPING = {
-    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
-    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
-    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
-}
-"""Parameters that damp the motion, and their equations."""
 
 BOUND_MIN, BOUND_NOISE = 5.0, 5.0
 """The bound of the position error without GPS is at least this (m, standard deviations of a fix),
@@ -121,17 +108,18 @@ LOSS_MIN = BEARS_AMBER
 
 RULES = (
     f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
-    f"noise of the sensors, or {STEADY:g} times it where persistence is; at least "
+    f"noise of the sensors, or {STEADY:g} times it where that holds for persistence too; at least "
     f"{COVERAGE_GREEN:.0%} inside the claimed 90 %, less what a short log shows by chance; at "
     f"least {BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, "
     "no effect of a command of the other sign, steering as the particulars say, and a speed "
-    f"straight ahead of {SPEED_LEAST:g} to {SPEED_MOST:g} times what they say; no finding of "
+    f"straight ahead of {SPEED_LEAST:g} to {SPEED_MOST:g} times what they say; parameters in use "
+    "that are not the prior of a population; no finding of "
     f"the log check, no sensor excluded for {EXCLUDED_AMBER:.0%} or doubtful for "
     f"{DOUBTFUL_AMBER:.0%} of the run; where the log has "
     f"roll and pitch, their error after {TILT_HORIZON:g} s and coverage by the same limits. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
     f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
-    "green; warnings; or what the log is too short to tell "
+    "green; a population's prior in use; warnings; or what the log is too short to tell "
     f"(forecasts over less than {SCORED_MIN:g} s). Commands, GPS or compass excluded for "
     f"{EXCLUDED_RED:.0%} of the run are red. "
     "Red: anything else. The worst answer counts."
@@ -376,11 +364,12 @@ class TrustMeter:
             Of ``twin.logs.diagnosis.diagnose``.
         """
         in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
-        last = self._judged(in_use)
+        last = self._compared(in_use)
         deviations, drag = self._deviations(last)
+        turned = turned_effects(self.twin.predictor.parameter_names, self.prior, last)
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         other = other_boat(self.log, self.particulars)
-        parameters = parameter_answer(deviations, self._reversed(last), drag, other, own)
+        parameters = parameter_answer(deviations, turned, drag, other, own)
         parameters = with_parameters_in_use(parameters, in_use, own)
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
@@ -402,7 +391,7 @@ class TrustMeter:
             in_use=in_use,
         )
 
-    def _judged(self, in_use: ParametersInUse | None) -> Estimate:
+    def _compared(self, in_use: ParametersInUse | None) -> Estimate:
         """Return the last estimate, with the best refit's parameters where the prior is in use."""
         last = self.twin.estimate()
         if in_use is None or not in_use.is_prior or in_use.refit is None:
@@ -435,7 +424,7 @@ class TrustMeter:
         }
         colour = _colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER, self._seconds)
         above = [
-            f"{name} {value:.2f} times persistence, green up to {RATIO_GREEN:g}"
+            f"{name} {value:.3f} times persistence ({RATIO_LIMITS})"
             for name, value, fine in zip(("position", "heading"), ratio, small, strict=True)
             if value > RATIO_GREEN and not fine
         ]
@@ -483,7 +472,7 @@ class TrustMeter:
         )
         bound, names = _coverage_bound(found.seconds), ("roll", "pitch")
         reasons = [
-            f"{name} {value:.2f} times the held angle, green up to {RATIO_GREEN:g}"
+            f"{name} {value:.3f} times the held angle ({RATIO_LIMITS})"
             for name, value in zip(names, ratio, strict=True)
             if value > RATIO_GREEN
         ]
@@ -552,25 +541,6 @@ class TrustMeter:
         ]
         return sorted(pairs, key=lambda pair: -pair[1]), factor
 
-    def _reversed(self, last: Estimate) -> list[str]:
-        """Return the effects of commands that ended with the other sign, where both are sure.
-
-        An effect and the damping of its motion that are both reversed are the two sides of one
-        equation: a steady run has shown their ratio only.
-        """
-        prior = self.prior
-        before, after = prior.params, last.params
-        names = self.twin.predictor.parameter_names
-        known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
-        sure = known & (np.abs(after) > SURE_AFTER * last.params_sd)
-        damping = {
-            DAMPING[name]
-            for name, is_known in zip(names, known, strict=True)
-            if is_known and name in DAMPING
-        }
-        found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
-        return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
-
 
 def _coverage_bound(seconds: float) -> float:
     """Return the share inside the claimed 90 % from which on it is green, of forecasts so long."""
@@ -591,7 +561,7 @@ def _why(reasons: Sequence[str], is_bad: bool, seconds: float) -> str:
     """
     if not reasons:
         return ""
-    short = f" (over {seconds:.0f} s: too few to judge)" if is_bad and seconds < SCORED_MIN else ""
+    short = f", over {seconds:.0f} s: too few to judge" if is_bad and seconds < SCORED_MIN else ""
     return f": {'; '.join(reasons)}{short}"
 
 

@@ -14,7 +14,7 @@ from twin.health.monitor import SensorStatus
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.predictors.base import ParametersInUse
+from twin.predictors.base import Estimate, ParametersInUse
 
 __all__ = [
     "AMBER",
@@ -34,6 +34,7 @@ __all__ = [
     "parameter_answer",
     "sensor_answer",
     "speed_ratio",
+    "turned_effects",
     "with_parameters_in_use",
 ]
 
@@ -64,10 +65,27 @@ OTHER_BOAT = "wrong boat, steering or units?"
 """Said of parameters far from the prior of a population ..."""
 
 OWN_CHANGED = (
-    "against the boat's own prior: have its load, hull or propellers changed since those runs? "
-    "Then make the prior again"
+    "has the boat changed (load, hull, propellers) since the runs of its own prior? Then make the "
+    "prior again"
 )
 """... and of those far from the boat's own prior."""
+
+SURE_BEFORE, SURE_AFTER = 1.5, 2.0
+"""Standard deviations by which a sign was known before and after, where it is said to be other."""
+
+EFFECTS = {
+    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
+    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
+    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
+}
+"""Parameters that say what commands do, and their equations."""
+
+DAMPING = {
+    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
+    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
+    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
+}
+"""Parameters that damp the motion, and their equations."""
 
 STRAIGHT_LENGTHS, STRAIGHT_RATE = 3.0, 0.2
 """A boat goes straight ahead if its shaft speeds were steady over the time in which it goes so many
@@ -174,7 +192,8 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     if doubted:
         shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
         parts.append(f"{shown}; see: usv-twin log check")
-    badness = (float(len(parts) + len(doubted)), max(numbers["health_s"].values(), default=0.0))
+    longest = max((stretch.seconds for stretch in health.found.values()), default=0.0)
+    badness = (float(len(parts) + len(doubted)), longest)
     if not parts:
         briefly = "; ".join(line[1] for line in lines[:2])
         return Answer("sensors", GREEN, briefly or "none in doubt", numbers, badness)
@@ -259,6 +278,31 @@ def with_parameters_in_use(
         colour = AMBER if colour == GREEN and not own_prior else colour
     numbers = answer.numbers | {"in_use": in_use.name, "prior_in_use": in_use.is_prior}
     return replace(answer, colour=colour, text=text, numbers=numbers)
+
+
+def turned_effects(names: Sequence[str], prior: Estimate, last: Estimate) -> list[str]:
+    """Return the effects of commands that ended with the other sign, where both are sure.
+
+    An effect and the damping of its motion that are both reversed are the two sides of one
+    equation: a steady run has shown their ratio only.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the parameters (p,).
+    prior, last : Estimate
+        Before the first row, and at the end.
+    """
+    before, after = prior.params, last.params
+    known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
+    sure = known & (np.abs(after) > SURE_AFTER * last.params_sd)
+    damping = {
+        DAMPING[name]
+        for name, is_known in zip(names, known, strict=True)
+        if is_known and name in DAMPING
+    }
+    found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
+    return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
 
 
 def other_boat(log: Log, particulars: Particulars) -> list[str]:

@@ -121,7 +121,7 @@ def test_far_from_its_own_prior_the_boat_has_changed() -> None:
     far = [("X_nu", 4.4)]
     assert "wrong boat" in parameter_answer(far, []).text
     text = parameter_answer(far, [], own_prior=True).text
-    assert "wrong boat" not in text and "load, hull or propellers changed" in text
+    assert "wrong boat" not in text and "has the boat changed (load, hull" in text
 
 
 def test_of_runs_of_one_colour_the_worst_number_is_shown(good: Verdict) -> None:
@@ -145,10 +145,10 @@ def test_what_made_a_forecast_amber_is_said(boat: Particulars, log: Log) -> None
         return "; ".join(answer.text for answer in meter.verdict().answers[:2])
 
     assert "times persistence" not in text(100.0, 0.5)
-    assert "heading 1.05 times persistence, green up to 0.9;" in text(100.0, 1.05)
+    assert "heading 1.050 times persistence (green up to 0.9, red above 1.1);" in text(100.0, 1.05)
     short = text(24.0, 2.5)
-    assert "heading 2.50 times persistence, green up to 0.9 (over 24 s: too few to judge)" in short
-    assert "headings below 50% (over 24 s: too few to judge)" in short
+    assert "heading 2.500 times persistence (green up to 0.9, red above 1.1), over 24 s" in short
+    assert "24 s: too few to judge" in short and "headings below 50%, over 24 s: too few" in short
 
 
 def test_a_good_twin_is_green_in_five_answers(good: Verdict) -> None:

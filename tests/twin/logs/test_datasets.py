@@ -232,7 +232,9 @@ def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):
     vessels = Path(usv_gym.vessel.__file__).with_name("vessels")
     (tmp_path / "mine.toml").write_bytes((vessels / "otter.toml").read_bytes())
     assert particulars_for_log(path).mass == 55.0
-    with pytest.raises(ParticularsError, match=r"is a vessel file.*--ship.*particulars_of\(usv_gym"):
+    with pytest.raises(
+        ParticularsError, match=r"is a vessel file.*--ship.*particulars_of\(usv_gym"
+    ):
         Particulars.load(tmp_path / "mine.toml")
     (tmp_path / "mine.toml").write_text("[instruments]\n", encoding="utf-8")
     with pytest.raises(ParticularsError, match=r"mine.toml: expected the tables \[particulars\]"):

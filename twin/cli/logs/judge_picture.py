@@ -91,13 +91,14 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
 
 def _parameters(ax: Axes, verdict: Verdict) -> None:
     """Draw the parameters that went furthest from the prior."""
-    in_use = verdict.in_use
-    of_refit = in_use is not None and in_use.is_prior
-    title = "best refit, not in use: the prior is" if of_refit else "largest changes of parameters"
+    prior = verdict.in_use if verdict.in_use and verdict.in_use.is_prior else None
+    title = "best refit, not in use: the prior is" if prior else "largest changes of parameters"
     set_title(ax, title)
-    if of_refit and in_use.refit is None or not verdict.deviations:
-        why = in_use.name if of_refit else "the predictor has no parameters"
-        ax.text(0.5, 0.5, fill(why, 28), ha="center", va="center", transform=ax.transAxes)
+    empty = "" if verdict.deviations else "the predictor has no parameters"
+    if prior and prior.refit is None:
+        empty = f"in use: {prior.name}"
+    if empty:
+        ax.text(0.5, 0.5, fill(empty, 28), ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return
     shown = dict(verdict.deviations[:_BARS])

@@ -39,7 +39,6 @@ from twin.motion import CHANNELS, QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT
 
-
 LEARNING_MIN = 10.0
 """A twin with a model has learned nothing of the boat from less data than this, s: the first refit
 comes after about as much."""
