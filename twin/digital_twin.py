@@ -26,7 +26,7 @@ from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
 from twin.predictors.registry import DEFAULT, PREDICTORS, base_name, make_predictor
 from twin.predictors.saved_options import pack_option, unpack_option
-from usv_kernel.errors import UsvTwinError
+from usv_kernel.errors import ArgumentError, UsvTwinError
 
 __all__ = [
     "PLANS",
@@ -72,6 +72,11 @@ class Twin:
     **options
         Options of the predictor's class.
 
+    Raises
+    ------
+    ArgumentError
+        ``particulars`` are no Particulars, but for instance a name or a path.
+
     Attributes
     ----------
     predictor : Predictor
@@ -106,6 +111,12 @@ class Twin:
         seed: int = 0,
         **options: Any,
     ) -> None:
+        if not isinstance(particulars, Particulars):
+            raise ArgumentError(
+                f"particulars = {particulars!r} must be a twin.Particulars: Particulars.load(path) "
+                "of a file, or twin.sim.bridge.particulars_of(usv_gym.Vessel.load(name)) of a "
+                "vessel"
+            )
         self.particulars = particulars
         self.name = None if isinstance(predictor, Predictor) else predictor
         self.seed, self.options = seed, options
@@ -383,7 +394,11 @@ class Twin:
         ------
         TwinError
             Names what is wrong, for instance an origin other than that of the log before.
+        ArgumentError
+            ``log`` is a path.
         """
+        if isinstance(log, (str, Path)):
+            raise ArgumentError(f"log = {str(log)!r} must be a Log: Log.read(path) reads a file")
         self.locate(log.datum)
         parameters = self.predictor.parameter_names
         deck = np.full((len(log), 2, len(CHANNELS)), math.nan)
@@ -471,6 +486,7 @@ class Twin:
         Returns
         -------
         Prediction
+            Before ``estimate().ready`` it is finite, but starts at the origin and means nothing.
             Its ``motion`` has the forecast of roll, pitch, heave and the vertical speed of the
             deck, and the probability that it stays quiet, where the log shows such motion. It
             reaches 10 s ahead for any horizon: after the plan, the last command stays.
@@ -554,7 +570,14 @@ def known_plan(log: Log, row: int, horizon: float, dt: float) -> Array:
     -------
     ndarray, shape (K, 4)
         The last command of the log is held where it ends.
+
+    Raises
+    ------
+    TwinError
+        The log has no such row.
     """
+    if not -len(log) <= row < len(log):
+        raise TwinError(f"row = {row}: the log has {len(log)} rows, 0 to {len(log) - 1}")
     middle = log.t[row] + dt * (np.arange(max(round(horizon / dt), 1)) + 0.5)
     # a row's command was in force up to the row's time
     rows = np.searchsorted(log.t, middle, side="left")

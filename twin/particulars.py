@@ -465,6 +465,8 @@ class Particulars:
             if "ship" in table:
                 table = _ship_of(table, log)
             unknown = set(table) - {"particulars", "instruments", "deck"}
+            if "hull" in unknown:
+                raise ParticularsError(VESSEL_FILE)
             if unknown or "particulars" not in table:
                 raise ParticularsError(
                     "expected the tables [particulars] and, if wished, [instruments] and [deck]; "
@@ -536,6 +538,14 @@ class Particulars:
         if self.prior is not None:
             lines += ["", "[particulars.prior]", self.prior.to_toml().rstrip()]
         return "\n".join(lines) + "\n"
+
+
+VESSEL_FILE = (
+    "is a vessel file, with the table [hull], and no file of particulars. On the command line name "
+    "it with --ship, or put it beside the log as <log>.toml. In Python: "
+    "twin.sim.bridge.particulars_of(usv_gym.Vessel.load(path))"
+)
+"""Said of a file of ``usv-twin vessel new``; the twin on board does not import the simulator."""
 
 
 def _ship_of(table: dict[str, Any], log: str | Path | None) -> dict[str, Any]:

@@ -35,6 +35,8 @@ from twin.benchmark.trust_answers import (
     other_boat,
     parameter_answer,
     sensor_answer,
+    turned_effects,
+    with_parameters_in_use,
 )
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
@@ -44,7 +46,7 @@ from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
-from twin.predictors.base import Z90, Prediction
+from twin.predictors.base import Z90, Estimate, ParametersInUse, Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_kernel.scalar import wrap
 
@@ -73,6 +75,9 @@ STEP = 0.25
 RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
 """Error over that of persistence, up to which a forecast is green or amber."""
 
+RATIO_LIMITS = f"green up to {RATIO_GREEN:g}, red above {RATIO_AMBER:g}"
+"""The same in words, beside a ratio that is not green."""
+
 COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
 """Share inside the claimed 90 %, from which on it is green or amber ..."""
 
@@ -84,23 +89,6 @@ STEADY = 2.0
 
 BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
 """Seconds without GPS from which on they are green or amber."""
-
-SURE_BEFORE, SURE_AFTER = 1.5, 2.0
-"""Standard deviations by which a sign was known before and after, where it is said to be other."""
-
-EFFECTS = {
-    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
-    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
-    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
-}
-"""Parameters that say what commands do, and their equations."""
-
-DAMPING = {
-    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
-    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
-    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
-}
-"""Parameters that damp the motion, and their equations."""
 
 BOUND_MIN, BOUND_NOISE = 5.0, 5.0
 """The bound of the position error without GPS is at least this (m, standard deviations of a fix),
@@ -120,17 +108,18 @@ LOSS_MIN = BEARS_AMBER
 
 RULES = (
     f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
-    f"noise of the sensors, or {STEADY:g} times it where persistence is; at least "
+    f"noise of the sensors, or {STEADY:g} times it where that holds for persistence too; at least "
     f"{COVERAGE_GREEN:.0%} inside the claimed 90 %, less what a short log shows by chance; at "
     f"least {BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, "
     "no effect of a command of the other sign, steering as the particulars say, and a speed "
-    f"straight ahead of {SPEED_LEAST:g} to {SPEED_MOST:g} times what they say; no finding of "
+    f"straight ahead of {SPEED_LEAST:g} to {SPEED_MOST:g} times what they say; parameters in use "
+    "that are not the prior of a population; no finding of "
     f"the log check, no sensor excluded for {EXCLUDED_AMBER:.0%} or doubtful for "
     f"{DOUBTFUL_AMBER:.0%} of the run; where the log has "
     f"roll and pitch, their error after {TILT_HORIZON:g} s and coverage by the same limits. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
     f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
-    "green; warnings; or what the log is too short to tell "
+    "green; a population's prior in use; warnings; or what the log is too short to tell "
     f"(forecasts over less than {SCORED_MIN:g} s). Commands, GPS or compass excluded for "
     f"{EXCLUDED_RED:.0%} of the run are red. "
     "Red: anything else. The worst answer counts."
@@ -169,6 +158,7 @@ class Verdict:
     losses: tuple[GpsLoss, ...]
     # names, and deviation from the prior in its standard deviations, largest first
     deviations: tuple[tuple[str, float], ...]
+    in_use: ParametersInUse | None = None  # None where the predictor has no choice
 
     @property
     def colour(self) -> str:
@@ -191,17 +181,20 @@ class Verdict:
             "log": self.log,
             "predictor": self.predictor,
             "colour": self.colour,
-            "answers": [dataclasses.asdict(answer) for answer in self.answers],
+            "answers": [answer.to_json() for answer in self.answers],
             "gps_losses": [
                 {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
                 for loss in self.losses
             ],
             "deviations_in_prior_sd": dict(self.deviations),
+            "parameters_in_use": None if self.in_use is None else self.in_use.name,
         }
 
 
 def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
-    """Return one verdict on several runs of a boat: of each answer, one of the worst colour.
+    """Return one verdict on several runs of a boat: of each answer, the worst one.
+
+    Of answers of one colour, that with the worst number.
 
     Parameters
     ----------
@@ -211,7 +204,7 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
     answers = []
     for about in dict.fromkeys(answer.about for each in verdicts for answer in each.answers):
         found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
-        log, worst = max(found, key=lambda pair: COLOURS.index(pair[1].colour))
+        log, worst = max(found, key=lambda pair: _badness(pair[1]))
         same = sum(pair[1].colour == worst.colour for pair in found)
         count = f"{same} of {len(found)}" if same < len(found) else f"all {len(found)}"
         runs = f"; {count} runs {worst.colour}" if len(found) > 1 else ""
@@ -228,6 +221,12 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
         losses=tuple(loss for each in verdicts for loss in each.losses),
         deviations=tuple(sorted(deviations.items(), key=lambda pair: -pair[1])),
     )
+
+
+def _badness(answer: Answer) -> tuple[int, tuple[float, ...]]:
+    """Return what orders answers: by colour, then by the number."""
+    # where there is none, the log cannot tell: it has no worse number than another
+    return COLOURS.index(answer.colour), answer.badness
 
 
 def position_bound(particulars: Particulars) -> float:
@@ -364,10 +363,14 @@ class TrustMeter:
         findings : sequence of Finding
             Of ``twin.logs.diagnosis.diagnose``.
         """
-        deviations, drag = self._deviations()
+        in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
+        last = self._compared(in_use)
+        deviations, drag = self._deviations(last)
+        turned = turned_effects(self.twin.predictor.parameter_names, self.prior, last)
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         other = other_boat(self.log, self.particulars)
-        parameters = parameter_answer(deviations, self._reversed(), drag, other)
+        parameters = parameter_answer(deviations, turned, drag, other, own)
+        parameters = with_parameters_in_use(parameters, in_use, own)
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
         elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
@@ -385,7 +388,16 @@ class TrustMeter:
             forecasts=tuple(self.forecasts),
             losses=tuple(self.losses),
             deviations=tuple(deviations),
+            in_use=in_use,
         )
+
+    def _compared(self, in_use: ParametersInUse | None) -> Estimate:
+        """Return the last estimate, with the best refit's parameters where the prior is in use."""
+        last = self.twin.estimate()
+        if in_use is None or not in_use.is_prior or in_use.refit is None:
+            return last
+        mean, sd = in_use.refit
+        return dataclasses.replace(last, params=mean, params_sd=sd)
 
     def _forecast_answer(self) -> Answer:
         if not self.forecasts:
@@ -411,7 +423,13 @@ class TrustMeter:
             "persistence_heading_rad": float(held[1]),
         }
         colour = _colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER, self._seconds)
-        return Answer("forecast", colour, text, numbers)
+        above = [
+            f"{name} {value:.3f} times persistence ({RATIO_LIMITS})"
+            for name, value, fine in zip(("position", "heading"), ratio, small, strict=True)
+            if value > RATIO_GREEN and not fine
+        ]
+        text += _why(above, worst > RATIO_AMBER, self._seconds)
+        return Answer("forecast", colour, text, numbers, (worst, float(ratio.max())))
 
     def _coverage_answer(self) -> Answer:
         if not self.forecasts:
@@ -424,8 +442,16 @@ class TrustMeter:
         )
         worst = min(place, heading)
         seconds = self._seconds
-        colour = _colour(worst >= _coverage_bound(seconds), worst >= COVERAGE_AMBER, seconds)
-        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+        bound = _coverage_bound(seconds)
+        colour = _colour(worst >= bound, worst >= COVERAGE_AMBER, seconds)
+        below = [
+            f"{name} below {bound:.0%}"
+            for name, share in (("positions", place), ("headings", heading))
+            if share < bound
+        ]
+        text += _why(below, worst < COVERAGE_AMBER, seconds)
+        numbers = {"position": place, "heading": heading}
+        return Answer("coverage", colour, text, numbers, (-worst, -max(place, heading)))
 
     def _tilt_answer(self) -> Answer:
         if (found := self._tilt.score()) is None:
@@ -444,10 +470,20 @@ class TrustMeter:
             worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
             found.seconds,
         )
-        if colour != GREEN and found.seconds < SCORED_MIN:
-            text += f" (over {found.seconds:.0f} s: too few to judge)"
+        bound, names = _coverage_bound(found.seconds), ("roll", "pitch")
+        reasons = [
+            f"{name} {value:.3f} times the held angle ({RATIO_LIMITS})"
+            for name, value in zip(names, ratio, strict=True)
+            if value > RATIO_GREEN
+        ]
+        reasons += [
+            f"{name} below {bound:.0%}"
+            for name, share in zip(names, found.inside, strict=True)
+            if share < bound
+        ]
+        text += _why(reasons, worst > RATIO_AMBER or inside < COVERAGE_AMBER, found.seconds)
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
-        return Answer("attitude", colour, text, numbers)
+        return Answer("attitude", colour, text, numbers, (worst, -inside))
 
     @property
     def _seconds(self) -> float:
@@ -470,12 +506,12 @@ class TrustMeter:
         median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
         at_least = "at least " if held[median] else ""
         end = float(np.median([loss.error[-1] for loss in self.losses]))
-        tried = "one loss"
-        if len(bears) > 1:
-            tried = f"worst {min(bears):.0f} s; median of {len(bears)} losses"
+        many = len(bears) > 1
+        tried = f"median of {len(bears)} losses" if many else "one loss"
         text = (
-            f"bears {at_least}{bears[median]:.0f} s until {self.bound:.3g} m off ({tried} of "
-            f"{self._loss_length:.0f} s; {end:.1f} m off at the end)"
+            f"position within {self.bound:.3g} m for {at_least}{bears[median]:.0f} s "
+            f"({tried} of {self._loss_length:.0f} s{f'; shortest {min(bears):.0f} s' * many}); "
+            f"{'median ' * many}error at the end {end:.1f} m"
         )
         numbers = {
             "bound_m": self.bound,
@@ -485,14 +521,16 @@ class TrustMeter:
         }
         typical = counted[median]
         colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
-        return Answer("without GPS", colour, text, numbers)
+        if colour != GREEN:
+            text += f"; green from {BEARS_GREEN:g} s on"
+        return Answer("without GPS", colour, text, numbers, (-typical, end))
 
-    def _deviations(self) -> tuple[list[tuple[str, float]], float]:
+    def _deviations(self, last: Estimate) -> tuple[list[tuple[str, float]], float]:
         """Return how far parameters ended from the prior, in its deviations; and a factor.
 
         The factor is that of drag where the prior was rough, else 1.
         """
-        last, names = self.twin.estimate(), self.twin.predictor.parameter_names
+        names = self.twin.predictor.parameter_names
         mean, sd, factor = self.prior.params, self.prior.params_sd, 1.0
         own = self.particulars.prior is not None
         if len(names) and kind_of(self.particulars) == "differential" and not own:
@@ -502,25 +540,6 @@ class TrustMeter:
             pair for pair in zip(names, far.tolist(), strict=True) if pair[0] not in ENVIRONMENT
         ]
         return sorted(pairs, key=lambda pair: -pair[1]), factor
-
-    def _reversed(self) -> list[str]:
-        """Return the effects of commands that ended with the other sign, where both are sure.
-
-        An effect and the damping of its motion that are both reversed are the two sides of one
-        equation: a steady run has shown their ratio only.
-        """
-        last, prior = self.twin.estimate(), self.prior
-        before, after = prior.params, last.params
-        names = self.twin.predictor.parameter_names
-        known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
-        sure = known & (np.abs(after) > SURE_AFTER * last.params_sd)
-        damping = {
-            DAMPING[name]
-            for name, is_known in zip(names, known, strict=True)
-            if is_known and name in DAMPING
-        }
-        found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
-        return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
 
 
 def _coverage_bound(seconds: float) -> float:
@@ -533,6 +552,17 @@ def _coverage_bound(seconds: float) -> float:
 def _colour(is_green: bool, is_amber: bool, seconds: float) -> str:
     """Return the colour of scores of forecasts over a time, s; few of them are never red."""
     return GREEN if is_green else AMBER if is_amber or seconds < SCORED_MIN else RED
+
+
+def _why(reasons: Sequence[str], is_bad: bool, seconds: float) -> str:
+    """Return which of the scores are not green, as the end of a sentence; empty if all are.
+
+    ``is_bad``: they would be red, of forecasts over :data:`SCORED_MIN` or more.
+    """
+    if not reasons:
+        return ""
+    short = f", over {seconds:.0f} s: too few to judge" if is_bad and seconds < SCORED_MIN else ""
+    return f": {'; '.join(reasons)}{short}"
 
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from twin.health.monitor import SensorStatus
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.particulars import Particulars
+from twin.predictors.base import Estimate, ParametersInUse
 
 __all__ = [
     "AMBER",
@@ -33,6 +34,8 @@ __all__ = [
     "parameter_answer",
     "sensor_answer",
     "speed_ratio",
+    "turned_effects",
+    "with_parameters_in_use",
 ]
 
 Array = NDArray[np.float64]
@@ -58,6 +61,32 @@ SPEED_LEAST, SPEED_MOST = 0.4, 1.7
 five boats with their own particulars it lies between .50 and 1.42, on 24 simulated ones of four
 between .87 and 1.26."""
 
+OTHER_BOAT = "wrong boat, steering or units?"
+"""Said of parameters far from the prior of a population ..."""
+
+OWN_CHANGED = (
+    "has the boat changed (load, hull, propellers) since the runs of its own prior? Then make the "
+    "prior again"
+)
+"""... and of those far from the boat's own prior."""
+
+SURE_BEFORE, SURE_AFTER = 1.5, 2.0
+"""Standard deviations by which a sign was known before and after, where it is said to be other."""
+
+EFFECTS = {
+    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
+    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
+    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
+}
+"""Parameters that say what commands do, and their equations."""
+
+DAMPING = {
+    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
+    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
+    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
+}
+"""Parameters that damp the motion, and their equations."""
+
 STRAIGHT_LENGTHS, STRAIGHT_RATE = 3.0, 0.2
 """A boat goes straight ahead if its shaft speeds were steady over the time in which it goes so many
 lengths, and its yaw rate times length over speed is less than this."""
@@ -81,6 +110,13 @@ class Answer:
     colour: str  # one of COLOURS
     text: str
     numbers: dict[str, Any] = field(default_factory=dict)
+    # orders answers of one colour: the larger, the worse; by the first number, then the next
+    badness: tuple[float, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        named = {"about": self.about, "colour": self.colour, "text": self.text}
+        return {**named, "numbers": self.numbers}
 
 
 class _Stretch(NamedTuple):
@@ -156,11 +192,13 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     if doubted:
         shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
         parts.append(f"{shown}; see: usv-twin log check")
+    longest = max((stretch.seconds for stretch in health.found.values()), default=0.0)
+    badness = (float(len(parts) + len(doubted)), longest)
     if not parts:
         briefly = "; ".join(line[1] for line in lines[:2])
-        return Answer("sensors", GREEN, briefly or "none in doubt", numbers)
+        return Answer("sensors", GREEN, briefly or "none in doubt", numbers, badness)
     colour = max(colours, key=COLOURS.index)
-    return Answer("sensors", colour, "; ".join(parts), numbers)
+    return Answer("sensors", colour, "; ".join(parts), numbers, badness)
 
 
 def parameter_answer(
@@ -168,6 +206,7 @@ def parameter_answer(
     reversed_effects: Sequence[str],
     drag: float = 1.0,
     others: Sequence[str] = (),
+    own_prior: bool = False,
 ) -> Answer:
     """Return what parameters far from the prior, or of the other sign, say.
 
@@ -181,6 +220,8 @@ def parameter_answer(
         Factor by which a rough prior was scaled.
     others : sequence of str
         What :func:`other_boat` says.
+    own_prior : bool
+        Whether the prior is of earlier runs of this boat.
     """
     far = [(name, size) for name, size in deviations if size > FAR]
     numbers: dict[str, Any] = {"far": dict(far), "sign": list(reversed_effects)}
@@ -189,24 +230,79 @@ def parameter_answer(
     if not deviations:
         text = "; ".join(["the predictor has none", *parts])
         return Answer("parameters", AMBER if parts else GREEN, text, numbers)
+    badness = (float(len(far) + len(reversed_effects) + len(others)), deviations[0][1])
     if not far and not reversed_effects and not others:
         name, size = deviations[0]
         text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
         if not 0.5 < drag < 2.0:
             text += f" (of a boat with {drag:.2g} times the drag of the rough prior)"
-        return Answer("parameters", GREEN, text, numbers)
+        return Answer("parameters", GREEN, text, numbers, badness)
     if far:
         shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
         more = ", ..." if len(far) > 4 else ""
         parts.append(
             f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: "
-            f"{shown}{more}; wrong boat, steering or units?"
+            f"{shown}{more}; {OWN_CHANGED if own_prior else OTHER_BOAT}"
         )
     if reversed_effects:
         names = ", ".join(reversed_effects[:4])
         parts.append(f"other sign: {names}; wrong sides or signs of commands?")
     colour = AMBER if len(far) <= FAR_AMBER else RED
-    return Answer("parameters", colour, " ".join(parts), numbers)
+    return Answer("parameters", colour, " ".join(parts), numbers, badness)
+
+
+def with_parameters_in_use(
+    answer: Answer, in_use: ParametersInUse | None, own_prior: bool
+) -> Answer:
+    """Return the answer on the parameters, with the candidate in use.
+
+    Where that is the prior, ``answer`` is on the best refit. Forecasts with a population's prior
+    do not confirm any parameters, so the answer is amber at least. Those with the boat's own prior
+    confirm it.
+
+    Parameters
+    ----------
+    answer : Answer
+        Of :func:`parameter_answer`.
+    in_use : ParametersInUse or None
+        None of a predictor without a choice: the answer is returned as it is.
+    own_prior : bool
+        Whether the prior is of earlier runs of this boat.
+    """
+    if in_use is None:
+        return answer
+    text, colour = f"{answer.text}; in use: {in_use.name}", answer.colour
+    if in_use.is_prior:
+        found = "no refit yet" if in_use.refit is None else f"the best refit: {answer.text}"
+        text = f"in use: {in_use.name}; {found}"
+        colour = AMBER if colour == GREEN and not own_prior else colour
+    numbers = answer.numbers | {"in_use": in_use.name, "prior_in_use": in_use.is_prior}
+    return replace(answer, colour=colour, text=text, numbers=numbers)
+
+
+def turned_effects(names: Sequence[str], prior: Estimate, last: Estimate) -> list[str]:
+    """Return the effects of commands that ended with the other sign, where both are sure.
+
+    An effect and the damping of its motion that are both reversed are the two sides of one
+    equation: a steady run has shown their ratio only.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the parameters (p,).
+    prior, last : Estimate
+        Before the first row, and at the end.
+    """
+    before, after = prior.params, last.params
+    known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
+    sure = known & (np.abs(after) > SURE_AFTER * last.params_sd)
+    damping = {
+        DAMPING[name]
+        for name, is_known in zip(names, known, strict=True)
+        if is_known and name in DAMPING
+    }
+    found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
+    return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
 
 
 def other_boat(log: Log, particulars: Particulars) -> list[str]:

@@ -114,7 +114,7 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
     """Print errors of recorded runs in metres and degrees, and over persistence of two kinds."""
     blocks = recorded_blocks(results)
     for title, block in blocks.items():
-        ends = any(line["loss"] for line in block.values())
+        ends = _has_losses(block)
         ratio = ("ratio\nto p.\ntwin", "\n\nrec.")
         heads = ["position\n\nm", *ratio, "heading\n\ndeg", *ratio]
         heads += ["end of\nloss\noff m", "\n\nsaid"] * ends
@@ -134,9 +134,20 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
         explain(
             "Root mean square errors after 10 s, mean over runs, best first. Ratio to persistence, "
             "twin: mean of the ratios of runs, persistence from the twin's own navigation; rec.: "
-            "ratio of the mean errors, persistence of the recorded u, v and r. End of loss: error "
-            "of the estimated position, m, and the radius said to hold 90 %; medians."
+            "ratio of the mean errors, persistence of the recorded u, v and r."
+            + (LOSS_NOTE if any(_has_losses(block) for block in blocks.values()) else "")
         )
+
+
+LOSS_NOTE = (
+    " End of loss: error of the estimated position, m, and the radius said to hold 90 %; medians."
+)
+"""Explains the columns of tables with a loss of GPS."""
+
+
+def _has_losses(block: Mapping[str, Mapping[str, Row]]) -> bool:
+    """Return whether a table has the columns on the ends of losses."""
+    return any(line["loss"] for line in block.values())
 
 
 def _optional(value: float | None, digits: int) -> str:

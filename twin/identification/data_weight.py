@@ -107,6 +107,15 @@ EVIDENCE_ALARM, LAGS = 12.5, (2.0, 6.0, 14.0)
 """Evidence above which a change of thrust or current has come, and over how many seconds before
 the last segment it is sought."""
 
+UNTRIED = "the prior, as the run is too short for a refit"
+"""What is in use before the first refit."""
+
+_NAMES = {
+    PRIOR: "the prior, as no refit forecasts better",
+    JOINT: "the joint filter",
+    BLEND: "the mean of joint filter and refits, weighted by their forecasts",
+}
+
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
 
 KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
@@ -483,6 +492,37 @@ class TrustSelector:
     def chosen(self) -> int:
         """The candidate in use: a refit, :data:`PRIOR`, :data:`JOINT` or :data:`BLEND`."""
         return int(self.state.count[CHOSEN])
+
+    @property
+    def refitted(self) -> bool:
+        """Whether there was a refit."""
+        return bool(self.state.count[TURN] > 0.0)
+
+    @property
+    def uses_prior(self) -> bool:
+        """Whether the parameters in use are the prior's."""
+        return not self.refitted or self.chosen == PRIOR
+
+    @property
+    def name(self) -> str:
+        """The candidate in use, in plain words."""
+        if not self.refitted:
+            return UNTRIED
+        return _NAMES.get(self.chosen) or self._refit_name(self.chosen)
+
+    def _refit_name(self, r: int) -> str:
+        """Return a refit in plain words: its seconds of data, and how far it trusts them."""
+        span = min(SPANS[r], self.segments.config.span * GRID)
+        return f"the refit to the last {span:.0f} s, data weight {TRUSTS[r]:g}"
+
+    def best_refit(self) -> tuple[Array, Array] | None:
+        """Return mean and standard deviations, each (p,), of the best refit; None without one."""
+        best = int(linearised_at(self.state))
+        factor = self.state.factors[best]
+        if not factor[0, 0] > 0.0:
+            return None
+        inverse = np.linalg.inv(factor)  # the covariance is that times its transpose
+        return self.params[best].copy(), np.sqrt(np.sum(inverse**2, axis=1))
 
     def note(self, starts: Iterable[int]) -> None:
         """Keep the parameters of all refits for the segments that begin at some rows."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ __all__ = [
     "Estimate",
     "ForecastError",
     "Forecaster",
+    "ParametersInUse",
     "Prediction",
     "Predictor",
     "check_forecast",
@@ -211,6 +212,17 @@ class Prediction:
         return values[low] + share * (values[low + 1] - values[low])
 
 
+class ParametersInUse(NamedTuple):
+    """Which of several candidates for its parameters a predictor forecasts with."""
+
+    name: str
+    """The candidate in plain words, such as ``"the joint filter"``."""
+    is_prior: bool
+    """Whether it is the prior, so that the parameters say nothing of the data."""
+    refit: tuple[Array, Array] | None = None
+    """Mean and standard deviations, each (p,), of the best refit; None before the first."""
+
+
 class Predictor(ABC):
     """The contract of every entry of ``twin.PREDICTORS``.
 
@@ -354,6 +366,10 @@ class Predictor(ABC):
         For predictors without a model, this changes nothing.
         """
         yield
+
+    def parameters_in_use(self) -> ParametersInUse | None:
+        """Return the candidate whose parameters :meth:`estimate` gives; None without a choice."""
+        return None
 
     @abstractmethod
     def estimate(self) -> Estimate:

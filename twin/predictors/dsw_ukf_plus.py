@@ -33,6 +33,7 @@ from twin.checkpoint import COUNT, Field, State, StateError, with_prefix
 from twin.filters.linalg import cholesky
 from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
+from twin.identification.identifiability import Identifiability
 from twin.identification.joint_ukf import JointUKF, coarse_plan
 from twin.identification.prediction_error import COLUMNS, FIRST, NONE, RefitSettings
 from twin.identification.segments import SEGMENT_FIELDS, Segments
@@ -42,7 +43,7 @@ from twin.model.priors import boat_or, population_prior
 from twin.model.rollout import GRID, upsample
 from twin.model.structure import N_STATES
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
-from twin.predictors.base import Prediction
+from twin.predictors.base import ParametersInUse, Prediction
 from twin.predictors.plus_forecast import (
     Draws,
     MeanForecast,
@@ -304,6 +305,22 @@ class PlusPredictor(UKFPredictor):
     def window_s(self) -> float:
         """See :attr:`twin.predictors.base.Predictor.window_s`."""
         return min(max(self.last_row, 0) * GRID, self.refit.span)
+
+    def parameters_in_use(self) -> ParametersInUse:
+        """See :meth:`twin.predictors.base.Predictor.parameters_in_use`."""
+        own = self.selector
+        return ParametersInUse(own.name, own.uses_prior, own.best_refit())
+
+    def identifiability(self) -> Identifiability:
+        """Return what the data so far say of the parameters: nothing while the prior is in use."""
+        seen = super().identifiability()
+        if not self.selector.uses_prior:
+            return seen
+        parts = (
+            tuple(dataclasses.replace(item, informed=False) for item in items)
+            for items in (seen.parameters, seen.sums)
+        )
+        return Identifiability(seen.seconds, seen.submodels, *parts)
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

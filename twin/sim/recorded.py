@@ -11,6 +11,7 @@ from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
 from twin.sim.bridge import particulars_of
+from usv_gym.vessel.schema import KIND_SCHEMA
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_kernel.files import TOML_MAX, read_limited
 
@@ -58,7 +59,10 @@ def particulars_for_log(
     file = sibling_path(path, ".toml")
     if ship is None and not has_particulars(path):
         names = ", ".join(vessel_names())
-        raise ParticularsError(_NO_PARTICULARS.format(path=path, file=file, names=names))
+        kinds = ", ".join(KIND_SCHEMA)
+        raise ParticularsError(
+            _NO_PARTICULARS.format(path=path, file=file, names=names, kinds=kinds)
+        )
     if ship is None and not file.exists():
         return archive.ship(path)
     ship = str(file) if ship is None else ship
@@ -78,8 +82,9 @@ def particulars_for_log(
 
 
 _NO_PARTICULARS = (
-    "{path}: no particulars of the boat. Write [particulars] into {file} (usv-twin vessel new "
-    "--name BOAT --length M --beam M --draft M --mass KG --kind KIND --out {file} estimates them). "
+    "{path}: no particulars of the boat. Write [particulars] into {file}. This estimates them: "
+    "usv-twin vessel new --name BOAT --length M --beam M --draft M --mass KG --speed KNOTS "
+    "--kind KIND --hulls 1|2 --out {file}, with KIND one of {kinds}. "
     "Or name the boat with --ship FILE or --ship NAME ({names})"
 )
 

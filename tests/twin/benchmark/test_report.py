@@ -449,7 +449,8 @@ def test_a_report_of_recorded_runs_begins_with_table_bars_and_track(tmp_path):
     files = write_report(tmp_path, styled, [run(log, {"ukf": figure(log, model=0)})])
     assert "recorded_verdict" in {path.stem for path in files[1:]}
     text = page(files)
-    order = ("<h3>lake, 3 runs, no loss", 'aria-label="Root mean', 'aria-label="Turn', "<details")
+    heads = ("<h3>folder lake: 3 runs, no loss", 'aria-label="Root mean', 'aria-label="Turn')
+    order = (*heads, "<details")
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     # persistence took no part: there is nothing to compare with

@@ -26,10 +26,15 @@ from twin.benchmark.trust_answers import (
     parameter_answer,
     sensor_answer,
     speed_ratio,
+    with_parameters_in_use,
 )
+from twin.cli.logs.judge_picture import draw_verdict
 from twin.health.monitor import SensorStatus
+from twin.identification.data_weight import CHOSEN, PRIOR
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.motion.tilt_meter import TiltScore
+from twin.predictors.base import ParametersInUse
+from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.ukf import UKFPredictor
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -66,6 +71,84 @@ def verdict_of(about: Particulars, log: Log, predictor: str = "ukf") -> Verdict:
 @pytest.fixture(scope="module")
 def good(boat: Particulars, log: Log) -> Verdict:
     return verdict_of(boat, log, "dsw-ukf-plus")
+
+
+@pytest.fixture
+def ran(boat: Particulars, log: Log) -> TrustMeter:
+    """Return the meter of a twin that ran over the log, whose candidate in use is the prior."""
+    twin = Twin(boat, "dsw-ukf-plus")
+    meter = TrustMeter(twin, log)
+    twin.run(log, meter)
+    assert isinstance(twin.predictor, PlusPredictor)
+    twin.predictor.selector.state.count[CHOSEN] = PRIOR
+    return meter
+
+
+def test_a_prior_in_use_is_amber_and_names_itself(ran: TrustMeter, log: Log) -> None:
+    found = ran.verdict()
+    answer = found.answers[3]
+    assert answer.colour == AMBER
+    assert answer.text.startswith(
+        "in use: the prior, as no refit forecasts better; the best refit: all within 4"
+    )
+    assert found.deviations[0][1] > 0.1, "of the best refit, not of the prior from itself"
+    assert found.to_json()["parameters_in_use"].startswith("the prior")
+    predictor = ran.twin.predictor
+    assert predictor.identifiability().informed == ()  # type: ignore[union-attr]
+    assert draw_verdict(found, log).startswith(b"\x89PNG")
+    untried = dataclasses.replace(found, in_use=ParametersInUse("the prior", True))
+    assert draw_verdict(untried, log) != draw_verdict(found, log)
+
+
+def test_the_boats_own_prior_in_use_may_be_green(ran: TrustMeter) -> None:
+    in_use, green = ran.twin.predictor.parameters_in_use(), Answer("parameters", GREEN, "fine")
+    assert with_parameters_in_use(green, in_use, own_prior=True).colour == GREEN
+    assert with_parameters_in_use(green, in_use, own_prior=False).colour == AMBER
+    assert with_parameters_in_use(green, None, own_prior=False) is green
+
+
+def test_a_twin_before_its_first_refit_says_so(boat: Particulars, log: Log) -> None:
+    answer = verdict_of(boat, log.slice(0.0, 5.0), "dsw-ukf-plus").answers[3]
+    assert answer.colour == AMBER and "too short for a refit; no refit yet" in answer.text
+
+
+def test_the_candidate_in_use_is_named(good: Verdict) -> None:
+    assert good.in_use is not None and not good.in_use.is_prior
+    assert good.answers[3].text.endswith(f"; in use: {good.in_use.name}")
+
+
+def test_far_from_its_own_prior_the_boat_has_changed() -> None:
+    far = [("X_nu", 4.4)]
+    assert "wrong boat" in parameter_answer(far, []).text
+    text = parameter_answer(far, [], own_prior=True).text
+    assert "wrong boat" not in text and "has the boat changed (load, hull" in text
+
+
+def test_of_runs_of_one_colour_the_worst_number_is_shown(good: Verdict) -> None:
+    def run(log: str, ratio: float, colour: str = GREEN) -> Verdict:
+        answer = Answer("forecast", colour, f"ratio {ratio}", {}, (ratio,))
+        return dataclasses.replace(good, log=log, answers=(answer,))
+
+    runs = [run("a", 0.2), run("b", 0.8), run("c", 0.5)]
+    assert worst_of(runs).answers[0].text == "ratio 0.8 [of b; all 3 runs green]"
+    amber = worst_of([*runs, run("d", 0.1, AMBER)]).answers[0]
+    assert amber.text == "ratio 0.1 [of d; 1 of 4 runs amber]"
+
+
+def test_what_made_a_forecast_amber_is_said(boat: Particulars, log: Log) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+
+    def text(seconds: float, heading: float) -> str:
+        times = np.arange(0.0, seconds + 1.0, 2.0)
+        errors = (1.0, heading), (9.0, 1.0), (True, heading < 2.0)
+        meter.forecasts = [ScoredForecast(t, np.zeros((1, 2)), *errors) for t in times]
+        return "; ".join(answer.text for answer in meter.verdict().answers[:2])
+
+    assert "times persistence" not in text(100.0, 0.5)
+    assert "heading 1.050 times persistence (green up to 0.9, red above 1.1);" in text(100.0, 1.05)
+    short = text(24.0, 2.5)
+    assert "heading 2.500 times persistence (green up to 0.9, red above 1.1), over 24 s" in short
+    assert "24 s: too few to judge" in short and "headings below 50%, over 24 s: too few" in short
 
 
 def test_a_good_twin_is_green_in_five_answers(good: Verdict) -> None:
@@ -298,9 +381,9 @@ def test_seconds_without_gps_are_the_lower_median_of_all_losses(
         ]
         return meter.verdict().answers[2]
 
-    assert "bears 20 s" in answer(5.0, 20.0, 99.0, 99.0).text
+    assert "within 6.34 m for 20 s" in answer(5.0, 20.0, 99.0, 99.0).text
     assert answer(5.0, 20.0, 99.0, 99.0).colour == AMBER
-    assert "bears at least 60 s" in answer(5.0, 99.0, 99.0).text
+    assert "within 6.34 m for at least 60 s" in answer(5.0, 99.0, 99.0).text
     assert answer(5.0, 99.0, 99.0).colour == GREEN
     assert answer(5.0, 8.0, 99.0).colour == RED
 

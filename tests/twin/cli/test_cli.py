@@ -160,6 +160,17 @@ def test_predict_prints_intervals_and_writes_them(folder):
     run("predict", folder / "run.csv", "--plan", plan)
 
 
+def test_predict_says_that_the_twin_had_no_time_to_learn(folder):
+    def said(*options):
+        found = run("predict", folder / "run.csv", *options)
+        return " ".join((found.stdout + found.stderr).split())
+
+    words = "it had no time to learn the boat"
+    assert f"seen 2.0 s of data: {words}" in said("--at", "2")
+    assert words not in said("--at", "2", "--predictor", "persistence")
+    assert words not in said("--at", "30")
+
+
 def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     log = tmp_path / "deck.csv"
     run("simulate", "heading135", "--dof", "6", "--duration", "60", "--sea", "3", "-o", log)
@@ -343,6 +354,19 @@ def test_a_predictor_that_cannot_run_has_a_row_of_its_own(capsys):
     out = capsys.readouterr().out
     assert "left out" in out.split("lstm", 1)[1].splitlines()[0]
     assert "no [torch]" in out
+
+
+def test_the_end_of_a_loss_is_explained_only_where_it_is_shown(capsys):
+    rows = [
+        {"folder": "pond", "fault": "none", "plan": "known", "predictor": "ukf", "channel": channel}
+        | {"runs": 3, "error": 1.0, "ratio": 0.5}
+        for channel in ("displacement", "psi")
+    ]
+    lost = [row | {"fault": "gps10"} for row in rows]
+    end = lost[0] | {"error_m": 2.0, "said_m": 3.0}
+    for recorded, losses, shown in ((rows, [], False), (lost, [end], True)):
+        print_verdict({"verdict": [], "notes": [], "recorded": recorded, "losses": losses})
+        assert ("End of loss" in capsys.readouterr().out) == shown
 
 
 def test_the_table_fits_into_80_columns(capsys, monkeypatch):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
 
 import pytest
+from typer.testing import CliRunner
 
 from tests.twin.cli.command import run
 from twin import Log
+from twin.benchmark.trust import RED, TrustMeter
+from twin.cli.main import app
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +68,44 @@ def test_priors_are_not_made_of_faulty_runs(folder, tmp_path):
     assert "from 1 run(s)" in found.stdout
     out = run("identify", bad, "--save-prior", kept, "--force", "--with-faulty").stdout
     assert "from 1 run(s)" in out
+
+
+def test_priors_are_not_made_of_runs_with_red_forecasts(folder, tmp_path, monkeypatch):
+    """As of another boat; ``--with-faulty`` keeps them."""
+    verdict = TrustMeter.verdict
+
+    def red(self, findings=()):
+        found = verdict(self, findings)
+        if self.log.name != "other":
+            return found
+        forecast = dataclasses.replace(found.answers[0], colour=RED, text="9 m off")
+        return dataclasses.replace(found, answers=(forecast, *found.answers[1:]))
+
+    monkeypatch.setattr(TrustMeter, "verdict", red)
+    log, other, kept = folder / "run.csv", tmp_path / "other.csv", tmp_path / "boat.prior"
+    Log.read(log).without_truth().slice(0.0, 30.0).write(other)
+    (tmp_path / "other.toml").write_text((folder / "run.toml").read_text())
+
+    def said(*arguments):
+        result = CliRunner().invoke(app, ["identify", *map(str, arguments)])
+        return result.exit_code, " ".join(result.output.split())
+
+    code, text = said(log, other, "--save-prior", kept)
+    assert code == 0 and "from 1 run(s)" in text
+    assert "other: left out of the prior, for its forecasts are red (9 m off); check that" in text
+    code, text = said(other, "--save-prior", tmp_path / "none.prior")
+    assert code == 2 and "not written, as every run has" in text
+    assert not (tmp_path / "none.prior").exists()
+    code, text = said(log, other, "--save-prior", kept, "--force", "--with-faulty")
+    assert code == 0 and "from 2 run(s)" in text
+
+
+def test_identify_names_the_parameters_in_use(folder, tmp_path):
+    out = run("identify", folder / "run.csv", "--json", tmp_path / "a.json").stdout
+    name = json.loads((tmp_path / "a.json").read_text())["parameters_in_use"]
+    assert name.startswith(("the refit", "the joint", "the mean", "the prior"))
+    title = " ".join(out[out.index("parameters (mean") :].split())
+    assert title.startswith(f"parameters (mean and standard deviation); in use: {name}")
 
 
 def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):

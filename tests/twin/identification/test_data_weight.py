@@ -7,12 +7,15 @@ import pytest
 
 from twin.identification.data_weight import (
     ALARM,
+    CANDIDATES,
     CHOSEN,
     ENOUGH,
     MARGINS,
+    PRIOR,
     SETTLED,
     SHORT,
     TRUSTS,
+    TURN,
     TrustSelector,
     forecast_error,
     proved,
@@ -181,6 +184,34 @@ def test_reset_forgets(structure):
     fresh = TrustSelector(segments(structure, structure.mean))
     np.testing.assert_array_equal(selector.memory, fresh.memory)
     assert (selector.scored, selector.chosen) == (0, 0)
+
+
+def test_the_candidate_in_use_has_a_name(structure):
+    selector = TrustSelector(segments(structure, structure.mean))
+    assert selector.uses_prior and selector.best_refit() is None
+    assert selector.name == "the prior, as the run is too short for a refit"
+    selector.state.count[TURN] = 1.0
+    names = []
+    for candidate in range(CANDIDATES):
+        selector.state.count[CHOSEN] = candidate
+        assert selector.uses_prior == (candidate == PRIOR)
+        names.append(selector.name)
+    assert len(set(names)) == CANDIDATES
+    assert names[0] == "the refit to the last 110 s, data weight 1"
+    assert names[SHORT] == "the refit to the last 35 s, data weight 1"
+    assert names[PRIOR] == "the prior, as no refit forecasts better"
+
+
+def test_the_best_refit_has_the_covariance_of_its_factor(structure):
+    rows = window(structure, structure.mean, np.random.default_rng(5), noise=0.5)
+    selector = TrustSelector(segments(structure, structure.mean))
+    run(structure, selector, rows)
+    assert selector.chosen == 0
+    mean, sd = selector.best_refit()
+    np.testing.assert_array_equal(mean, selector.params[0])
+    np.testing.assert_allclose(sd, np.sqrt(np.diag(selector.segments.cov)), rtol=1e-6)
+    selector.state.count[CHOSEN] = PRIOR
+    np.testing.assert_array_equal(selector.best_refit()[0], mean)
 
 
 def test_a_change_found_just_now_is_not_gone_on_with(structure):

@@ -222,6 +222,8 @@ def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
     assert result.exit_code == 2
     assert f"{path}: no particulars of the boat" in said
     assert "usv-twin vessel new --name BOAT" in said and str(tmp_path / "mine.toml") in said
+    assert "--speed KNOTS --kind KIND --hulls 1|2" in said
+    assert "KIND one of steerable_drive, propeller_rudder, thruster_pair" in said
 
 
 def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):
@@ -230,6 +232,10 @@ def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):
     vessels = Path(usv_gym.vessel.__file__).with_name("vessels")
     (tmp_path / "mine.toml").write_bytes((vessels / "otter.toml").read_bytes())
     assert particulars_for_log(path).mass == 55.0
+    with pytest.raises(
+        ParticularsError, match=r"is a vessel file.*--ship.*particulars_of\(usv_gym"
+    ):
+        Particulars.load(tmp_path / "mine.toml")
     (tmp_path / "mine.toml").write_text("[instruments]\n", encoding="utf-8")
     with pytest.raises(ParticularsError, match=r"mine.toml: expected the tables \[particulars\]"):
         particulars_for_log(path)

@@ -165,6 +165,19 @@ def test_known_plan_gives_the_commands_that_came(zigzag):
     np.testing.assert_array_equal(end, np.tile(zigzag.cmd[-1], (200, 1)))
 
 
+@pytest.mark.parametrize("row", [99999, -99999])
+def test_known_plan_refuses_rows_that_the_log_lacks(zigzag, row):
+    with pytest.raises(TwinError, match=f"row = {row}: the log has {len(zigzag)} rows, 0 to"):
+        known_plan(zigzag, row, 10.0, 0.05)
+
+
+def test_names_and_paths_instead_of_particulars_and_logs_are_refused(boat):
+    with pytest.raises(ArgumentError, match=r"particulars = 'otter' must be .*Particulars.load"):
+        Twin("otter")
+    with pytest.raises(ArgumentError, match=r"log = 'run.csv' must be a Log: Log.read\(path\)"):
+        Twin(boat, "persistence").run("run.csv")
+
+
 def test_unknown_predictor_is_named(boat):
     with pytest.raises(PredictorError, match=r"no predictor is called 'nope'; known: persistence"):
         make_predictor("nope", boat)

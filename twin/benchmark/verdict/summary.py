@@ -157,13 +157,18 @@ def recorded_blocks(results: Row) -> dict[str, dict[str, dict[str, Row]]]:
         (row["folder"], row["fault"], row["predictor"]): row for row in results.get("losses") or []
     }
     blocks: dict[str, dict[str, dict[str, Row]]] = {}
+    runs: dict[tuple[str, str], int] = {}
+    for row in rows:
+        here = row["folder"], row["fault"]
+        runs[here] = max(row["runs"], runs.get(here, 0))
     for row in rows:
         if row["plan"] != rows[0]["plan"]:
             continue
         here = row["folder"], row["fault"]
-        most = max(other["runs"] for other in rows if (other["folder"], other["fault"]) == here)
+        own, every = runs[here], sum(n for key, n in runs.items() if key[1] == row["fault"])
+        count = f"{own} run{'s' * (own > 1)}" if own == every else f"{own} of {every} runs"
         loss = "no loss" if row["fault"] == "none" else f"loss {row['fault']}"
-        title = f"{row['folder']}, {most} run{'s' * (most > 1)}, {loss}, plan {row['plan']}"
+        title = f"folder {row['folder']}: {count}, {loss}, plan {row['plan']}"
         block = blocks.setdefault(title, {})
         found = block.setdefault(
             row["predictor"], {"loss": ends.get((*here, row["predictor"]), {})}

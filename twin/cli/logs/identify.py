@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from twin.benchmark.trust import TrustMeter, Verdict, worst_of
+from twin.benchmark.trust import RED, TrustMeter, Verdict, worst_of
 from twin.channels import STATE
 from twin.cli.common import (
     MOTION_HEADS,
@@ -104,7 +104,8 @@ def identify_command(
         bool,
         typer.Option(
             "--with-faulty",
-            help="Keep with --save-prior also runs in which sensors or commands are at fault.",
+            help="Keep with --save-prior also runs in which sensors or commands are at fault, or "
+            "whose forecasts are red.",
         ),
     ] = False,
 ) -> None:
@@ -121,10 +122,11 @@ def identify_command(
     Several logs are runs of one boat: each is identified by itself, and the parameters are
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
     boat's own prior, also of one run. Each run begins without an earlier prior. Runs in which
-    sensors or commands are at fault are left out of it, and a run that is given twice counts once.
+    sensors or commands are at fault, or whose forecasts are red, are left out of it. A run that is
+    given twice counts once.
 
-    It ends with the colour and the lines of usv-twin judge. Of several runs, each line is of one
-    with the worst colour.
+    It ends with the colour and the lines of usv-twin judge. Of several runs, each line is of the
+    worst run.
     """
     if save_prior is not None:
         if resume is not None:
@@ -143,7 +145,7 @@ def identify_command(
         runs = [run for run in found if run is not None]
         _combine(_to_keep(runs, with_faulty, save_prior), save_prior)
         print_verdict(worst_of([run[1] for run in runs]))
-        explain("Each line is of one run with the worst colour. usv-twin judge LOG judges one.")
+        explain("Each line is of the worst run in it. usv-twin judge LOG judges one run.")
         return
     log = logs[0]
     if save_prior is not None:
@@ -247,6 +249,8 @@ def _run_of(
         raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
     verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
     about = f"{run.name}: {run.t[-1] - run.t[0]:.0f} s, {verdict.colour}"
+    if verdict.in_use is not None:
+        about += f"; in use: {verdict.in_use.name}"
     console.print(about, highlight=False, soft_wrap=True)
     return twin, verdict
 
@@ -257,22 +261,32 @@ def _to_keep(
     """Return the twins whose runs a prior may be made of; LogError if there is none."""
     kept = []
     for twin, verdict in runs:
-        fault = verdict.fault
-        if fault and path is not None and not with_faulty:
-            note(
-                f"{verdict.log}: left out of the prior, for {fault}; mend the log, or keep it with "
-                "--with-faulty"
-            )
+        why = _why_not(verdict)
+        if why and path is not None and not with_faulty:
+            note(f"{verdict.log}: left out of the prior, {why}, or keep it with --with-faulty")
         else:
             kept.append(twin)
     if not kept:
         for run in runs:
             print_verdict(run[1])
         raise LogError(
-            f"{path}: not written, as no run is without a fault of sensors or commands; mend the "
-            "logs, or keep them with --with-faulty"
+            f"{path}: not written, as every run has a fault of sensors or commands, or red "
+            "forecasts; mend the logs, give other runs, or keep them with --with-faulty"
         )
     return kept
+
+
+def _why_not(verdict: Verdict) -> str:
+    """Return why no prior is made of a run, and the remedy; empty if it may be."""
+    if verdict.fault:
+        return f"for {verdict.fault}; mend the log"
+    for answer in verdict.answers:
+        if answer.about == "forecast" and answer.colour == RED:
+            return (
+                f"for its forecasts are red ({answer.text}); check that it is of this boat and "
+                "that the particulars are right"
+            )
+    return ""
 
 
 def _combine(twins: Sequence[Twin], path: Path | None) -> None:
@@ -305,7 +319,7 @@ def _combine(twins: Sequence[Twin], path: Path | None) -> None:
 
 def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
     names = twin.predictor.parameter_names
-    seen = twin.predictor.identifiability()
+    seen, in_use = twin.predictor.identifiability(), twin.predictor.parameters_in_use()
     return {
         "predictor": predictor,
         "t_s": estimate.t,
@@ -313,6 +327,7 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "datum": None if twin.datum is None else twin.datum.to_json(),
         "state": dict(zip(STATE, estimate.state.tolist(), strict=True)),
         "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
+        "parameters_in_use": None if in_use is None else in_use.name,
         "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
         "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
         **_motion_json(estimate, twin),
@@ -355,13 +370,19 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     heads = ("", "unit", "prior", "sd", "now", "sd", "ratio", "source")
-    table = new_table("parameters (mean and standard deviation)", *heads, left=SOURCE_COLUMNS)
+    in_use = twin.predictor.parameters_in_use()
+    title = "parameters (mean and standard deviation)"
+    if in_use is not None:
+        title += f"; in use: {in_use.name}"
+    table = new_table(title, *heads, left=SOURCE_COLUMNS)
     seen = twin.predictor.identifiability()
     found = {} if seen is None else {item.name: item for item in seen.parameters}
     units = twin.predictor.parameter_units
+    ratios = []
     for i, name in enumerate(twin.predictor.parameter_names):
         ratio = last.params_sd[i] / prior.params_sd[i] if prior.params_sd[i] > 0 else math.nan
         numbers = (prior.params[i], prior.params_sd[i], last.params[i], last.params_sd[i])
+        ratios.append(ratio)
         source = _source(found[name]) if name in found else ""
         table.add_row(name, units[i], *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
     console.print(table)
@@ -371,6 +392,13 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         "parameter's own regressor was excited. source sum: its regressor was collinear with "
         "another (cosine above 0.999), so that the data determine only their sum, given below."
     )
+    if in_use is not None and in_use.is_prior:
+        explain("The prior is in use: the values are not from the data, only the sd of a refit.")
+    if any(ratio > RATIO_SHOWN_ABOVE_ONE for ratio in ratios):
+        explain(
+            "ratio above 1: the parameter is less certain than at the start. The filter lets it "
+            "drift, or a change of the boat was found, and the data do not confine it since."
+        )
     if seen is not None:
         _print_identifiability(seen)
     settings = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
@@ -413,6 +441,9 @@ def _print_legend(twin: Twin) -> None:
         "N_v|v| times v|v| is a yaw acceleration. See docs/explanation/twin.md, Model structure."
     )
 
+
+RATIO_SHOWN_ABOVE_ONE = 1.005
+"""Ratios of standard deviations from which on the table shows more than 1.00."""
 
 SOURCE_COLUMNS = ("", "unit", "source")
 

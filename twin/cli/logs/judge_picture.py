@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,7 +91,16 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
 
 def _parameters(ax: Axes, verdict: Verdict) -> None:
     """Draw the parameters that went furthest from the prior."""
-    set_title(ax, "largest changes of parameters")
+    prior = verdict.in_use if verdict.in_use and verdict.in_use.is_prior else None
+    title = "best refit, not in use: the prior is" if prior else "largest changes of parameters"
+    set_title(ax, title)
+    empty = "" if verdict.deviations else "the predictor has no parameters"
+    if prior and prior.refit is None:
+        empty = f"in use: {prior.name}"
+    if empty:
+        ax.text(0.5, 0.5, fill(empty, 28), ha="center", va="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return
     shown = dict(verdict.deviations[:_BARS])
     sizes = [min(size, 4.0 * FAR) for size in shown.values()]
     colours = [ORANGE if size > FAR else BLUE for size in sizes]

@@ -39,6 +39,10 @@ from twin.motion import CHANNELS, QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT
 
+LEARNING_MIN = 10.0
+"""A twin with a model has learned nothing of the boat from less data than this, s: the first refit
+comes after about as much."""
+
 
 def predict_command(
     log: LogArgument,
@@ -99,6 +103,12 @@ def predict_command(
     if plan == "known":
         commands = known_plan(run, row, horizon, dt)
     prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
+    seen = float(run.t[row] - run.t[0])
+    if twin.predictor.parameter_names and seen < LEARNING_MIN:
+        note(
+            f"the twin has seen {seen:.1f} s of data: it had no time to learn the boat, and the "
+            "forecast rests on the prior"
+        )
     _print_prediction(prediction, predictor, plan, run)
     if prediction.motion is not None:
         _print_motion(prediction.motion, twin.sea)

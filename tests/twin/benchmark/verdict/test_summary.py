@@ -80,7 +80,13 @@ def test_recorded_blocks_hold_the_first_plan_and_the_ends_of_losses():
     ]
     end = {"folder": "pond", "fault": "gps10", "predictor": "ukf", "error_m": 2.0}
     blocks = recorded_blocks({"recorded": rows, "losses": [end]})
-    assert list(blocks) == ["pond, 3 runs, loss gps10, plan known"]
+    assert list(blocks) == ["folder pond: 3 runs, loss gps10, plan known"]
     (block,) = blocks.values()
     assert best_first(block) == ["ukf", "persistence"]
     assert block["ukf"]["loss"]["error_m"] == 2.0 and not block["persistence"]["loss"]
+    lake = [row | {"folder": "lake", "runs": 1} for row in rows]
+    titles = list(recorded_blocks({"recorded": rows + lake, "losses": []}))
+    assert [title.split(",")[0] for title in titles] == [
+        "folder pond: 3 of 4 runs",
+        "folder lake: 1 of 4 runs",
+    ]
