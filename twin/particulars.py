@@ -396,17 +396,13 @@ class Particulars:
 
     def _check_dimensions(self) -> None:
         """Refuse length, beam, draft and mass that no boat has together."""
-        if self.beam > BEAM_MOST * self.length:
-            raise ParticularsError(
-                f"beam = {self.beam:g} m on a length of {self.length:g} m: no boat is so wide; "
-                "give both in m, the beam over all hulls"
-            )
         box = SEA_WATER * self.length * self.beam * self.draft
-        if not BLOCK_LEAST * box <= self.mass <= BLOCK_MOST * box:
+        least, most = BLOCK_LEAST * box, BLOCK_MOST * box
+        if not least <= self.mass <= most or self.beam > BEAM_MOST * self.length:
             raise ParticularsError(
-                f"mass = {self.mass:g} kg does not go with length, beam and draft: a boat of these "
-                f"weighs {BLOCK_LEAST * box:.2g} to {BLOCK_MOST * box:.2g} kg; correct one of them "
-                "(m and kg)"
+                f"length = {self.length:g} m, beam = {self.beam:g} m, draft = {self.draft:g} m and "
+                f"mass = {self.mass:g} kg contradict each other: a boat of this size weighs "
+                f"{least:.2g} to {most:.2g} kg; correct one of them"
             )
 
     def _check_hulls(self) -> None:

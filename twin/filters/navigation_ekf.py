@@ -86,7 +86,7 @@ from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combin
 __all__ = [
     "Navigator",
     "aid",
-    "is_in_doubt",
+    "is_learning_suspended",
     "is_ready",
     "lacks_gps",
     "lacks_imu",
@@ -226,7 +226,7 @@ def lacks_gps(nav):
 
 
 @inlined
-def is_in_doubt(nav):
+def is_learning_suspended(nav):
     """Return whether checks hold sensors of the motion or the commands to be at fault."""
     return nav.commands_doubted + nav.motion_doubted > 0.0
 

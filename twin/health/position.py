@@ -147,7 +147,7 @@ def _reckon(dt, z, s, health):
 
 @inlined
 def _is_released(z, health, given):
-    """Return whether the velocity changes with a jump, though no accelerometer felt it.
+    """Return whether the velocity changes with a jump, though no accelerometer measured it.
 
     So does a GPS that was drawn away, once it is right again. Other jumps leave the velocity right.
     """
@@ -155,8 +155,8 @@ def _is_released(z, health, given):
     sd = math.sqrt(2.0) * given.doppler_sd + (given.accel_bias_sd + given.tilt) * T
     step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
     step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
-    felt = health.sensors[ACCELEROMETERS].status == OK and health.accel_gap == 0.0
-    return felt and math.hypot(step_x, step_y) > STEP_SURE * sd  # false for NaN
+    measured = health.sensors[ACCELEROMETERS].status == OK and health.accel_gap == 0.0
+    return measured and math.hypot(step_x, step_y) > STEP_SURE * sd  # false for NaN
 
 
 @inlined

@@ -60,7 +60,7 @@ REASONS = (
     "repeats its velocity, which is not used",
     "has gone silent",
     "jumped in place and velocity: it may have been drawn away until then",
-    "changed its velocity at once, though no accelerometer felt it",
+    "changed its velocity at once, though no accelerometer measured it",
     "gives a velocity that contradicts its fixes, and which is not used",
 )
 """Why, in words that follow the sensor's name."""

@@ -51,7 +51,7 @@ SHORTEST_STEP = 0.01
 STEP_MAX, GAP_SHARE = 3.0, 0.2
 """Steps that are longer (s), or in which accelerometers miss a larger share, are not used."""
 
-FELT = 0.5
+EXPLAINED = 0.5
 """A velocity did not step by itself where the reading of the accelerometers jumped by this share of
 it, or where the step before was as large: then they are at fault."""
 
@@ -110,13 +110,13 @@ def _has_stepped(step_x, step_y, T, health, given):
         math.hypot(step_x, step_y),
         math.hypot(health.velocity_step[0], health.velocity_step[1]),
     )
-    felt = T * math.hypot(mean_x - health.accel_mean[0], mean_y - health.accel_mean[1])
+    measured = T * math.hypot(mean_x - health.accel_mean[0], mean_y - health.accel_mean[1])
     health.velocity_step[0], health.velocity_step[1] = step_x, step_y
     health.accel_mean[0], health.accel_mean[1] = mean_x, mean_y
     typical = health.velocity_level * math.sqrt(min(2.0 * T / SUM_TIME, 1.0))
     typical = max(typical, math.sqrt(2.0) * given.doppler_sd)
-    sudden = size > ALARM * typical and before < FELT * size
-    return health.velocity_level > 0.0 and sudden and felt < FELT * size
+    sudden = size > ALARM * typical and before < EXPLAINED * size
+    return health.velocity_level > 0.0 and sudden and measured < EXPLAINED * size
 
 
 @inlined

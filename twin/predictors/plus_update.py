@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.channels import PSI, R, U, V
 from twin.filters.linalg import invert
-from twin.filters.navigation_ekf import is_in_doubt, lacks_gps
+from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
 from twin.identification.data_weight import (
@@ -508,7 +508,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
                 _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    trusted = nav.gps_age <= GAP_GOOD and not is_in_doubt(nav)
+    trusted = nav.gps_age <= GAP_GOOD and not is_learning_suspended(nav)
     good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import aid, is_in_doubt, is_ready, lacks_gps, lacks_imu, navigate
+from twin.filters.navigation_ekf import (
+    aid,
+    is_learning_suspended,
+    is_ready,
+    lacks_gps,
+    lacks_imu,
+    navigate,
+)
 from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
@@ -144,7 +151,7 @@ def _accelerations(dt, z, nav, state, given, model, scratch):
     current = current_of(x, N_STATES, model.hull)
     du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
     held = not math.isfinite(z[ACCEL_X]) and not lacks_gps(nav)
-    due = information_is_due(dt, state) and not is_in_doubt(nav)
+    due = information_is_due(dt, state) and not is_learning_suspended(nav)
     if held or due:
         current_terms(motion, state.wind, x, N_STATES, model, terms)
     if due:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.filters.navigation_ekf import GAP_MAX, is_in_doubt, lacks_gps
+from twin.filters.navigation_ekf import GAP_MAX, is_learning_suspended, lacks_gps
 from twin.model.dynamics import drive, rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import CURRENT, N_STATES, current_of
@@ -47,7 +47,12 @@ def try_open_loop(dt, nav, state, given, model, terms):
     The actuators of ``state`` have followed the commands. ``terms`` is scratch.
     """
     n, trial, x = nav.n, nav.trial, state.x
-    if nav.gps_age > GAP_MAX or dt > GAP_MAX or is_in_doubt(nav) or trial[TRIAL_TIME] == 0.0:
+    if (
+        nav.gps_age > GAP_MAX
+        or dt > GAP_MAX
+        or is_learning_suspended(nav)
+        or trial[TRIAL_TIME] == 0.0
+    ):
         trial[TRIAL_TIME] = dt
         trial[TRIAL_U], trial[TRIAL_V] = n[U], n[V]
         trial[TRIAL_NORTH], trial[TRIAL_EAST] = n[X], n[Y]

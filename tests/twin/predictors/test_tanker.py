@@ -49,7 +49,6 @@ def turning(boat: Particulars, n: float) -> float:
     [
         ({}, True),
         ({"mass": 0.85 * TANKER.mass}, False),  # block coefficient 0.69
-        ({"mass": 1e3 * TANKER.mass}, False),  # kg for t: more than the box around it
         ({"speed": 0.4 * math.sqrt(GRAVITY * 3.0)}, False),
         ({"steering": "differential"}, False),
     ],
