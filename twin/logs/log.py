@@ -52,6 +52,7 @@ from twin.logs.readers import (
     merged,
     name_of,
     shorten,
+    twice_said,
 )
 from twin.logs.rosbag import is_bag, read_bag
 from usv_kernel.files import replacing
@@ -439,7 +440,7 @@ def _chosen(
         used.add(given)
     for given in used:
         if header.count(given) > 1:
-            raise LogError(f"{source}: column {given} stands twice in {first}; remove one")
+            raise LogError(twice_said(source, given, first))
     left = [given for given in header if given not in used]
     absent = [
         name

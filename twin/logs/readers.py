@@ -10,6 +10,7 @@ import csv
 import gzip
 import io
 import math
+import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 __all__ = [
+    "EMPTY",
     "MAX_ROWS",
     "CsvFile",
     "ParquetFile",
@@ -39,6 +41,7 @@ __all__ = [
     "cannot_be_read",
     "date_of",
     "gathered",
+    "is_number",
     "merged",
     "name_of",
     "ragged_line",
@@ -46,6 +49,8 @@ __all__ = [
     "shorten",
     "thinned",
     "too_long",
+    "twice_said",
+    "units_line",
     "with_points",
 ]
 
@@ -60,7 +65,8 @@ _BLANK_MAX = 1000
 
 _BLOCK_ROWS = 1 << 19
 
-_EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
+"""Cells that hold no value."""
 
 _PLACE = "\0place"
 
@@ -234,7 +240,7 @@ def _numbers(
                 if name == clock.column
                 else text.cast(pl.Float64, strict=False)
             )
-            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(_EMPTY)
+            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(EMPTY)
             row = bad.arg_max() if bad.any() else None
             if row is not None and (wrong is None or row < wrong[0]):
                 wrong = row, name
@@ -250,6 +256,9 @@ def _numbers(
         columns[name] = numbers.to_numpy().astype(np.float64, copy=False)
     if wrong is not None:
         row, name = wrong
+        texts = {key: frame[key] for key in frame.columns if frame[key].dtype == pl.String}
+        if row == 0 and (units := units_line(texts)):
+            raise LogError(f"{source}: {unit} {int(lines[0])} {units}")
         what = "date and time" if name == clock.column else "number"
         timed = name in (clock.column, TIME)
         remedy = "remove the row" if timed else "leave the cell empty where there is no value"
@@ -342,7 +351,7 @@ class CsvFile:
                 columns=wanted,
                 infer_schema=False,
                 separator=self.mark,
-                null_values=list(_EMPTY),
+                null_values=list(EMPTY),
                 encoding="utf8" if numbers else "utf8-lossy",
                 schema_overrides=kinds,
             )
@@ -361,6 +370,24 @@ class CsvFile:
             raise LogError(
                 f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
             ) from None
+
+
+def twice_said(source: str | Path, name: str, place: str) -> str:
+    """Return the complaint about a column whose name stands twice in the header."""
+    return f"{source}: column {name} stands twice in {place}; rename or remove one of them"
+
+
+def units_line(columns: Mapping[str, pl.Series]) -> str:
+    """Return the complaint about units in the first row of columns, or nothing."""
+    first = [str(values[0]).strip() for values in columns.values() if len(values) > 1]
+    second = [str(values[1]).strip() for values in columns.values() if len(values) > 1]
+    words = [text for text in first if text not in ("", *EMPTY)]
+    short = len(words) > 1 and all(len(text) < 16 for text in words)
+    if not short or any(re.search(r"\d{2}", text) or is_number(text) for text in words):
+        return ""
+    if not any(is_number(text) for text in second):
+        return ""
+    return f"holds units or other words ({shorten(', '.join(words))}), not values; remove this line"
 
 
 def with_points(frame: pl.DataFrame) -> pl.DataFrame:
@@ -432,7 +459,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
                 mark, header = other, next(csv.reader([text], delimiter=other))
     except csv.Error as error:
         raise LogError(f"{path}: line {blank + 1} is no header of CSV ({error})") from None
-    if all(_is_number(name) for name in header):
+    if all(is_number(name) for name in header):
         raise LogError(
             f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
             f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
@@ -440,7 +467,8 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
     return blank, raw.rstrip(b"\r\n"), mark, tuple(name.strip() for name in header)
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Return whether a text is a number."""
     try:
         float(text)
     except ValueError:

@@ -27,6 +27,7 @@ __all__ = [
     "check_position",
     "find_jumps",
     "fix_stamps",
+    "in_degrees",
     "velocity_on_fixes",
 ]
 
@@ -271,14 +272,15 @@ def check_position(recording: Recording) -> list[Finding]:
         return []
     names = recording.called("gps_x_m", "gps_y_m")
     jumps = find_jumps(t, fix)
-    degrees = _in_degrees(fix if jumps is None else np.delete(fix, jumps.lost, axis=0))
+    degrees = in_degrees(fix if jumps is None else np.delete(fix, jumps.lost, axis=0))
     if degrees:
         return [
             Finding(
                 ERROR,
                 "position-degrees",
                 f"{names}: {degrees}",
-                "give latitude and longitude in [position] of a mapping file",
+                "give latitude and longitude in [position] of a mapping file, as usv-twin mapping "
+                "new does",
                 {"north": float(np.median(fix[:, 0])), "east": float(np.median(fix[:, 1]))},
             )
         ]
@@ -343,8 +345,8 @@ def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
     ]
 
 
-def _in_degrees(fix: Array) -> str:
-    """Return why positions must be latitude and longitude, or nothing."""
+def in_degrees(fix: Array) -> str:
+    """Return why positions (N, 2) without NaN must be latitude and longitude, or nothing."""
     # a receiver without satellites writes (0, 0): this is no place of the boat
     fix = fix[fix.any(axis=1)]
     if len(fix) < ENOUGH:
