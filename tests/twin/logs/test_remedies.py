@@ -61,12 +61,8 @@ def test_a_time_of_day_gives_no_date(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("s", 1.0)])
 def test_unix_times_keep_their_date(tmp_path: Path, unit: str, scale: float) -> None:
-    times = [
-        f"{scale * (1713886252.25 + 0.5 * k):.0f}"
-        if scale > 1.0
-        else f"{1713886252.25 + 0.5 * k:.2f}"
-        for k in range(150)
-    ]
+    digits = 2 if scale == 1.0 else 0
+    times = [f"{scale * (1713886252.25 + 0.5 * k):.{digits}f}" for k in range(150)]
     head = HEAD.replace("time", f"timestamp_{unit}")
     log = mapped(write(tmp_path / "a.csv", [head, *rows(times)]))
     assert log.datum is not None
