@@ -56,9 +56,12 @@ def checked_time(t: Array, table: Table) -> Array:
     step = np.diff(t)
     if (step <= 0.0).any():
         row = int(np.argmax(step <= 0.0)) + 1
+        remedy = "sort the rows by time"
+        if step[row - 1] == 0.0:
+            remedy = "record fractions of a second, or keep one row of each time"
         raise LogError(
             f"{given}, {table.line(row)}: time does not increase ({t[row]:.10g} s after "
-            f"{t[row - 1]:.10g} s); sort the rows by time and merge those with equal times"
+            f"{t[row - 1]:.10g} s); {remedy}"
         )
     gaps = is_gap(t)
     if gaps.any():

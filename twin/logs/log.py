@@ -41,9 +41,11 @@ from twin.logs.checks import (
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
+from twin.logs.diagnosis.findings import clashing_rows
 from twin.logs.errors import LogError
-from twin.logs.mapping import Layout, layout_of
+from twin.logs.mapping import Layout, layout_of, lone_sides
 from twin.logs.readers import (
+    UNIX,
     CsvFile,
     ParquetFile,
     Table,
@@ -52,6 +54,7 @@ from twin.logs.readers import (
     merged,
     name_of,
     shorten,
+    twice_said,
 )
 from twin.logs.rosbag import is_bag, read_bag
 from usv_kernel.files import replacing
@@ -98,10 +101,6 @@ _ALIASES = {
     "awa_rad": "apparent_wind_rad",
     "awa_deg": "apparent_wind_deg",
 }
-
-
-_UNIX = 1e9, 4e9
-"""Times between these are seconds since 1970: September 2001 to 2096."""
 
 
 RARE = (
@@ -404,6 +403,7 @@ def _chosen(
     """Return how to make a log of a file's columns, what is left out, the mapping, what lacks."""
     source, header = file.source, file.header
     first = "the header" if isinstance(file, ParquetFile) else f"line {file.blank + 1}"
+    mapped_here = layout is not None and bool(layout.entries)
     if layout is None and not {"gps_x_m", "gps_y_m"} <= set(header):
         layout = layout_of(name_of(file.path), header)
     layout = layout or Layout()
@@ -439,7 +439,7 @@ def _chosen(
         used.add(given)
     for given in used:
         if header.count(given) > 1:
-            raise LogError(f"{source}: column {given} stands twice in {first}; remove one")
+            raise LogError(twice_said(source, given, first))
     left = [given for given in header if given not in used]
     absent = [
         name
@@ -453,10 +453,17 @@ def _chosen(
         if OTHER_UNITS.get(hint, (hint, 1.0))[0] in REQUIRED
     ]
     remedy = remedy or ["add them to the file"]
-    remedy_text = f"{'; '.join(remedy)}, or name them in a mapping file {there}"
+    others = f"or name them in {layout.source if mapped_here else 'a mapping file'}"
+    if not mapped_here:
+        others += f" (usv-twin mapping new {source} proposes one)"
+    if not any(name in made for name in SINGLE["delta_rad"]):
+        others += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
+    remedy_text = f"{'; '.join(remedy)}, {others} {there}"
     lacking = _lacking(source, made, remedy_text)
     if layout.entries:
-        notes = [f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"] if left else []
+        notes = lone_sides(entries, left)
+        if left:
+            notes.append(f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}")
         return entries, notes, layout, lacking
     notes = [
         f"{given or '(no name)'}: unknown column, left out"
@@ -547,7 +554,7 @@ def assemble(table: Table) -> Log:
             [column(name) if name in names else unknown for name in TRUE_MOTION], axis=1
         )
     datum = Datum.from_columns(names, table.source)
-    if table.epoch is None and _UNIX[0] <= t[0] < _UNIX[1]:
+    if table.epoch is None and UNIX[0] <= t[0] < UNIX[1]:
         table.epoch = 0.0
         notes.append(f"t_s: seconds since 1970, from {date_of(float(t[0]))}")
     given = datum or Datum()
@@ -565,13 +572,10 @@ def _merge_equal_times(table: Table) -> None:
     """Merge rows of equal time, unless their values differ."""
     t = table.data[TIME]
     step = np.diff(t, prepend=-np.inf)
-    if not (step == 0.0).any() or not (step >= 0.0).all():
+    if not (step == 0.0).any() or not (step >= 0.0).all() or clashing_rows(table.data):
         return
     group = np.cumsum(step > 0.0) - 1
     one = merged(group, table.data)
-    for name, values in table.data.items():
-        if not ((one[name][group] == values) | np.isnan(values)).all():
-            return
     rows, line = np.append(np.flatnonzero(step > 0.0), len(t)), table.line
     table.notes.append(
         f"t_s: {len(t) - len(rows) + 1} of {len(t)} rows have the time of the row before and do "

@@ -70,6 +70,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
 from twin.logs.datum import FIXES, Datum, Plane
 from twin.logs.errors import LogError
+from twin.logs.proposal.header_words import other_side
 from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 
@@ -77,6 +78,7 @@ __all__ = [
     "LAYOUTS",
     "Layout",
     "layout_of",
+    "lone_sides",
 ]
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
@@ -155,6 +157,19 @@ def layout_of(name: str, header: Sequence[str]) -> Layout | None:
                 kept = tuple(entry for entry in layout.entries if entry in there)
                 return replace(layout, source=f"{kind}.toml", entries=kept)
     return None
+
+
+def lone_sides(entries: Sequence[Entry], left: Sequence[str]) -> list[str]:
+    """Return notes on columns left out that look like the other side of one for both sides."""
+    notes = []
+    for entry in entries:
+        pair = other_side(entry.sources[0], left) if len(entry.sources) == 1 else None
+        if pair is not None and entry.names in SINGLE.values():
+            notes.append(
+                f"{pair[0]}, {pair[1]}: left and right by their names, but {entry.sources[0]} "
+                f"counts for both; map them to {' and '.join(entry.names)}"
+            )
+    return notes
 
 
 class _Parser:
@@ -449,6 +464,8 @@ class _Position:
                 f"{self.source}: [position]: latitudes of up to {np.nanmax(np.abs(values[0])):.4g} "
                 "degrees: latitude and longitude are swapped; exchange the two columns"
             )
+        if beyond.mean() > 0.5:
+            raise LogError(f"{self.source}: [position]: {_beyond(values)}")
         latitude, longitude = _fixes(values)
         plane = self._plane(latitude, longitude)
         return [latitude, longitude] if plane is None else [*plane.metres(latitude, longitude)]
@@ -470,6 +487,23 @@ class _Position:
                 "datum = [latitude, longitude]"
             )
         return plane
+
+
+def _beyond(values: Sequence[Array]) -> str:
+    """Return the complaint about latitudes and longitudes that are no degrees."""
+    latitude, longitude = (np.abs(value[np.isfinite(value)]) for value in values[:2])
+    most = f"latitudes of up to {latitude.max():.7g} are no degrees"
+    minutes = [
+        each.max() < top and (each % 100.0 < 60.0).all()
+        for each, top in ((latitude, 9001.0), (longitude, 18001.0))
+        if len(each)
+    ]
+    if all(minutes):
+        return (
+            f"{most}: NMEA has degrees and minutes in one number, ddmm.mm; write whole hundreds "
+            "plus the rest over 60 to the file, south and west below 0"
+        )
+    return f"{most}; write degrees to the file, or give their scale"
 
 
 def _fixes(values: Sequence[Array]) -> tuple[Array, Array]:

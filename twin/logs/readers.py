@@ -10,6 +10,7 @@ import csv
 import gzip
 import io
 import math
+import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -32,13 +33,16 @@ if TYPE_CHECKING:
     import polars as pl
 
 __all__ = [
+    "EMPTY",
     "MAX_ROWS",
+    "UNIX",
     "CsvFile",
     "ParquetFile",
     "Table",
     "cannot_be_read",
     "date_of",
     "gathered",
+    "is_number",
     "merged",
     "name_of",
     "ragged_line",
@@ -46,6 +50,8 @@ __all__ = [
     "shorten",
     "thinned",
     "too_long",
+    "twice_said",
+    "units_line",
     "with_points",
 ]
 
@@ -58,11 +64,18 @@ _BLOCK_BYTES = 1 << 20
 _BLANK_MAX = 1000
 """Most blank lines before the header."""
 
+_REMARKS, _REMARK_LINES = ("#", "%", "//"), 100
+"""What lines of comments begin with, and the most of them that are looked at."""
+
 _BLOCK_ROWS = 1 << 19
 
-_EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
+"""Cells that hold no value."""
 
 _PLACE = "\0place"
+
+UNIX = 1e9, 4e9
+"""Times between these are seconds since 1970: September 2001 to 2096."""
 
 _SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bin", ".BIN", ".tlog")
 
@@ -144,6 +157,24 @@ def date_of(epoch: float) -> str:
     return f"{date:%Y-%m-%d %H:%M:%S} UTC"
 
 
+def _time_of_day(seconds: float) -> str:
+    """Return seconds since midnight as a time of day."""
+    return f"{datetime(1970, 1, 1) + timedelta(seconds=seconds % 86400.0):%H:%M:%S}"
+
+
+def _epoch_of_offset(timed: Entry, raw: Mapping[str, Array]) -> float:
+    """Return the date, s since 1970, that an offset takes from Unix times; NaN if it does not."""
+    if len(timed.sources) != 1:
+        return math.nan
+    name = timed.sources[0]
+    offset, late, first = (
+        float(_only(timed, {name: np.array([x])})[0]) for x in (0.0, 1e3, float(raw[name][0]))
+    )
+    # days of a spreadsheet are of the same size in seconds, but count from another year
+    unix = offset < 0.0 and UNIX[0] <= first - offset < UNIX[1] and late - offset < 2e3
+    return -offset if unix and abs(first) < 366.0 * 86400.0 else math.nan
+
+
 def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layout) -> Table:
     """Return the log's columns that entries, one of which gives the time, make of a file.
 
@@ -154,7 +185,7 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     clock = Clock.of(timed)
     parts: list[dict[str, Array]] = []
     rows = read = void = 0
-    epoch = math.nan
+    epoch, dated_file = math.nan, False
     midnight = Midnight()
     for lines, raw, dated in file.blocks(sources, clock):
         # Blank lines (often the last) arrive as rows without any value.
@@ -166,6 +197,7 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
             raise LogError(f"{file.source}: column {name} holds dates, not numbers; convert it")
         if dated and clock.undated:
             data[timed.sources[0]] = past_midnight(data[timed.sources[0]], midnight)
+        dated_file |= bool(dated)
         if dated and len(data[_PLACE]):
             epoch = float(data[timed.sources[0]][0]) if epoch != epoch else epoch
             data[timed.sources[0]] = data[timed.sources[0]] - epoch
@@ -182,6 +214,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     if isinstance(file, CsvFile) and file.torn:
         notes.append("the last line is cut off, and left out")
     notes += said(layout, read, len(place))
+    if epoch == epoch and clock.undated:
+        notes.append(f"t_s: counted from {_time_of_day(epoch)}, the log keeps no date")
+        epoch = math.nan
+    elif len(place) and not dated_file:
+        epoch = _epoch_of_offset(timed, raw)
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
     if midnight.days:
@@ -234,7 +271,7 @@ def _numbers(
                 if name == clock.column
                 else text.cast(pl.Float64, strict=False)
             )
-            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(_EMPTY)
+            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(EMPTY)
             row = bad.arg_max() if bad.any() else None
             if row is not None and (wrong is None or row < wrong[0]):
                 wrong = row, name
@@ -250,6 +287,9 @@ def _numbers(
         columns[name] = numbers.to_numpy().astype(np.float64, copy=False)
     if wrong is not None:
         row, name = wrong
+        texts = {key: frame[key] for key in frame.columns if frame[key].dtype == pl.String}
+        if row == 0 and (units := units_line(texts)):
+            raise LogError(f"{source}: {unit} {int(lines[0])} {units}")
         what = "date and time" if name == clock.column else "number"
         timed = name in (clock.column, TIME)
         remedy = "remove the row" if timed else "leave the cell empty where there is no value"
@@ -342,7 +382,7 @@ class CsvFile:
                 columns=wanted,
                 infer_schema=False,
                 separator=self.mark,
-                null_values=list(_EMPTY),
+                null_values=list(EMPTY),
                 encoding="utf8" if numbers else "utf8-lossy",
                 schema_overrides=kinds,
             )
@@ -361,6 +401,24 @@ class CsvFile:
             raise LogError(
                 f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
             ) from None
+
+
+def twice_said(source: str | Path, name: str, place: str) -> str:
+    """Return the complaint about a column whose name stands twice in the header."""
+    return f"{source}: column {name} stands twice in {place}; remove or rename one of them"
+
+
+def units_line(columns: Mapping[str, pl.Series]) -> str:
+    """Return the complaint about units in the first row of columns, or nothing."""
+    first = [str(values[0]).strip() for values in columns.values() if len(values) > 1]
+    second = [str(values[1]).strip() for values in columns.values() if len(values) > 1]
+    words = [text for text in first if text not in ("", *EMPTY)]
+    short = len(words) > 1 and all(len(text) < 16 for text in words)
+    if not short or any(re.search(r"\d{2}", text) or is_number(text) for text in words):
+        return ""
+    if not any(is_number(text) for text in second):
+        return ""
+    return f"holds units or other words ({shorten(', '.join(words))}), not values; remove this line"
 
 
 def with_points(frame: pl.DataFrame) -> pl.DataFrame:
@@ -432,7 +490,14 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
                 mark, header = other, next(csv.reader([text], delimiter=other))
     except csv.Error as error:
         raise LogError(f"{path}: line {blank + 1} is no header of CSV ({error})") from None
-    if all(_is_number(name) for name in header):
+    above = _lines_above(text, header, file)
+    if above:
+        where = "line 1 looks" if blank + above == 1 else f"lines 1 to {blank + above} look"
+        raise LogError(
+            f"{path}: {where} like comments above the header; remove them, so that the file "
+            "begins with the names of the columns"
+        )
+    if all(is_number(name) for name in header):
         raise LogError(
             f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
             f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
@@ -440,7 +505,27 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
     return blank, raw.rstrip(b"\r\n"), mark, tuple(name.strip() for name in header)
 
 
-def _is_number(text: str) -> bool:
+def _lines_above(text: str, header: Sequence[str], file: BinaryIO) -> int:
+    """Return how many lines, from the first on, stand above one with the names of columns."""
+    if len(header) > 1 and not text.startswith(_REMARKS):
+        return 0
+    for above in range(1, _REMARK_LINES):
+        line = file.readline(1 << 20)
+        if not line:
+            return 0
+        cells = max(line.count(mark) for mark in (b",", b";", b"\t")) + 1
+        remark = line.decode("utf-8", "replace").startswith(_REMARKS)
+        if cells > max(len(header), 2) and not remark:
+            return above if len(header) == 1 or not is_number(_first_cell(line)) else 0
+    return 0
+
+
+def _first_cell(line: bytes) -> str:
+    return re.split(r"[,;\t]", line.decode("utf-8", "replace"), maxsplit=1)[0].strip()
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number."""
     try:
         float(text)
     except ValueError:

@@ -309,7 +309,7 @@ def test_quantity_given_twice_is_refused(tmp_path: Path) -> None:
         ("gyro_radps", 3, "1e999", "column gyro_radps, line 5: the value is infinite"),
         ("t_s", 4, "", "column t_s, line 6: empty; each row needs a time"),
         ("t_s", 4, "NaN", "column t_s, line 6: empty"),
-        ("t_s", 9, "0.8", "column t_s, line 11: time does not increase (0.8 s after 0.8 s); sort"),
+        ("t_s", 9, "0.8", "column t_s, line 11: time does not increase (0.8 s after 0.8 s); rec"),
         ("t_s", 9, "0.1", "column t_s, line 11: time does not increase (0.1 s after 0.8 s)"),
         (
             "delta_right_rad",

@@ -16,7 +16,7 @@ from twin.cli.main import app
 from twin.logs.dates import date_formats
 from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
-from twin.logs.proposal import propose
+from twin.logs.proposal.propose import propose
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.sensors import SensorSuite

@@ -15,7 +15,7 @@ from twin.cli.main import app
 from twin.logs.dates import Midnight, past_midnight
 from twin.logs.errors import LogError
 from twin.logs.log import Log
-from twin.logs.proposal import propose
+from twin.logs.proposal.propose import propose
 
 START = datetime(2024, 4, 5, 11, 58)
 EPOCH = 1712318280.0  # of that in UTC
@@ -150,7 +150,7 @@ def test_keys_of_the_time_are_checked(tmp_path: Path) -> None:
 
 def test_plain_left_and_right_are_the_shafts(tmp_path: Path) -> None:
     found = propose(write(tmp_path / "run.csv", "t", lambda t: f"{(t - START).total_seconds()}"))
-    assert 'n_left_rps = { from = "left", unit = "rpm" }' in found.lines["columns"]
+    assert 'n_left_rps = { from = "left", unit = "rpm" }  # by its size' in found.lines["columns"]
     assert "left, right: taken as the shafts" in found.questions
 
 

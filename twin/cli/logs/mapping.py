@@ -13,7 +13,7 @@ from twin.cli.common import OptionError, console, note, write_text
 from twin.logs.dates import ORDERS
 from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
-from twin.logs.proposal import Proposal, propose
+from twin.logs.proposal.propose import Proposal, propose
 
 ZONE = r"[+-](0\d|1[0-4]):[0-5]\d"
 """How far a clock is ahead of UTC."""
@@ -55,6 +55,8 @@ def mapping_new_command(
     write_text(path, found.text(log.name))
     Layout.load(path)  # what is written can be read
     console.print(path.read_text(encoding="utf-8"), highlight=False, soft_wrap=True, end="")
+    for question in found.questions:
+        note(f"please check: {question}")
     for name in found.missing:
         note(f"{name}: no column seems to hold it; complete the mapping")
     console.print(f"mapping: {path}; try it with usv-twin log check {log}", soft_wrap=True)

@@ -147,7 +147,10 @@ def _by_particulars(name: str, seen: Array, particulars: Particulars | None) -> 
     full = _SCALES.get(most)
     if full is not None and not 1.0 / _FULL < most / stated < _FULL:
         what = f"{name}: at most {most:g}, as {full} go, where the particulars say {stated:.3g}"
-        remedy = "scale = ... in a mapping: rev/s at full throttle over this number"
+        remedy = (
+            "scale = ... in a mapping: rev/s at full throttle over this number; or correct "
+            "shaft_speed in the particulars"
+        )
         return [Finding(ERROR, "shaft-unit", what + " rev/s", remedy, evidence)]
     if typical < _BEYOND * stated:
         return []
@@ -192,6 +195,7 @@ def _advance(
         f"{name}: {turns:.4g} rev/s at {advance * turns:.2g} m/s, {advance:.2g} m in a revolution"
     )
     remedy = 'state the unit in a mapping: unit = "rpm" (or scale = ... for per cent)'
+    stated = ", or correct length, speed and shaft_speed in the particulars"
     shares = SHARE in name  # no shaft speeds: the particulars alone could contradict them
     if particulars is None:
         if shares or advance >= _LEAST_ADVANCE:
@@ -202,13 +206,14 @@ def _advance(
         if 0.7 < ratio / unit < 1.4:
             what = f"{said}, {ratio:.2g} times too little for this boat: {text}, not rev/s"
             remedy = f'state the unit in a mapping: unit = "{"rpm" if unit > 10.0 else "radps"}"'
-            return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
+            return [Finding(ERROR, "shaft-unit", what, remedy + stated, evidence)]
         if 0.7 < ratio * unit < 1.4:
             what = f"{said}, {1.0 / ratio:.2g} times too much for this boat: rev/s read as {text}"
-            return [Finding(ERROR, "shaft-unit", what, "take the conversion out", evidence)]
+            remedy = "take the conversion out"
+            return [Finding(ERROR, "shaft-unit", what, remedy + stated, evidence)]
     if not shares and not _LEAST_LENGTHS < advance / particulars.length < _MOST_LENGTHS:
         what = f"{said}, {advance / particulars.length:.2g} of its length"
-        return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
+        return [Finding(ERROR, "shaft-unit", what, remedy + stated, evidence)]
     if not 0.2 < ratio < 5.0:
         what = f"{said}; the particulars say {ratio * advance:.2g} m"
         remedy = (

@@ -244,7 +244,8 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     Diagnosis
     """
     found = _cells(recording) + check_timing(recording)
-    position = check_position(recording)
+    gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
+    position = check_position(recording, gps_sd)
     kept = clean = without_jumps(recording)
     if any(finding.code == "position-degrees" for finding in position):
         # ways in degrees would blame the commands

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array
+from twin.logs.readers import merged
 
 __all__ = [
     "ERROR",
@@ -18,6 +19,7 @@ __all__ = [
     "WARNING",
     "Finding",
     "Recording",
+    "clashing_rows",
     "held",
     "repeated",
 ]
@@ -79,6 +81,8 @@ class Recording:
         Of the log.
     infinite : int
         Cells that were infinite, and are NaN here.
+    clashes : int
+        Rows with the time of the row before and other values.
     """
 
     t: Array
@@ -88,6 +92,7 @@ class Recording:
     given: Mapping[str, str] = field(default_factory=dict)
     name: str = "log"
     infinite: int = 0
+    clashes: int = 0
 
     @classmethod
     def of(cls, data: Mapping[str, Array], given: Mapping[str, str], name: str) -> Recording:
@@ -119,7 +124,8 @@ class Recording:
         z[np.isinf(z)], cmd[np.isinf(cmd)] = np.nan, np.nan
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
-        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite)
+        clashes = clashing_rows(data)
+        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite, clashes)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""
@@ -144,6 +150,26 @@ class Recording:
         elif columns[0] == 5:
             new &= ~(repeated(values) & repeated(self.z[:, 4:5]))
         return self.t[new], values[new]
+
+
+def clashing_rows(data: Mapping[str, Array]) -> int:
+    """Return how many rows contradict another one of the same time.
+
+    Parameters
+    ----------
+    data : mapping of str to ndarray, shape (N,)
+        Columns of a log, ``t_s`` among them; NaN contradicts nothing. Times that go back are not
+        looked at.
+    """
+    step = np.diff(np.asarray(data[TIME], dtype=np.float64), prepend=-np.inf)
+    if not (step == 0.0).any() or not (step >= 0.0).all():
+        return 0
+    group = np.cumsum(step > 0.0) - 1
+    one = merged(group, data)
+    other = np.zeros(len(step), dtype=np.bool_)
+    for name, values in data.items():
+        other |= ~((one[name][group] == values) | np.isnan(values))
+    return int(other.sum())
 
 
 def held(values: Array) -> Array:

@@ -27,6 +27,7 @@ __all__ = [
     "check_position",
     "find_jumps",
     "fix_stamps",
+    "in_degrees",
     "velocity_on_fixes",
 ]
 
@@ -264,21 +265,30 @@ def _lag_of_velocity(fixes: tuple[Array, Array], summed: tuple[Array, Array]) ->
     return found.seconds if abs(found.seconds) > 4.0 * found.sd else 0.0
 
 
-def check_position(recording: Recording) -> list[Finding]:
-    """Return what is wrong with fixes and with the velocity over ground."""
+def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
+    """Return what is wrong with fixes and with the velocity over ground.
+
+    Parameters
+    ----------
+    recording : Recording
+        To be checked.
+    gps_sd : float
+        Standard deviation of a fix as the particulars have it, m; 0 where there are none.
+    """
     t, fix = recording.samples("gps_x_m", "gps_y_m")
     if len(t) < ENOUGH:
         return []
     names = recording.called("gps_x_m", "gps_y_m")
     jumps = find_jumps(t, fix)
-    degrees = _in_degrees(fix if jumps is None else np.delete(fix, jumps.lost, axis=0))
+    degrees = in_degrees(fix if jumps is None else np.delete(fix, jumps.lost, axis=0))
     if degrees:
         return [
             Finding(
                 ERROR,
                 "position-degrees",
                 f"{names}: {degrees}",
-                "give latitude and longitude in [position] of a mapping file",
+                "give latitude and longitude in [position] of a mapping file, as usv-twin mapping "
+                "new does",
                 {"north": float(np.median(fix[:, 0])), "east": float(np.median(fix[:, 1]))},
             )
         ]
@@ -305,14 +315,21 @@ def check_position(recording: Recording) -> list[Finding]:
                 f"{names}: the stamps of the fixes jitter by {stamps.jitter:.2f} s: at "
                 f"{stamps.speed:.1f} m/s they scatter by {stamps.along:.2g} m along the track, "
                 f"{stamps.across:.2g} m across it",
-                "log the time that the receiver states, not that of arrival; else raise gps_sd to "
-                f"{max(stamps.along, stamps.across):.2g}",
+                "log the time that the receiver states, not that of arrival"
+                + _raised(max(stamps.along, stamps.across), gps_sd),
                 stamps._asdict(),
             )
         )
     found += _steps(names, t, fix)
     fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
+
+
+def _raised(scatter: float, gps_sd: float) -> str:
+    """Return what to do about a scatter (m) that the particulars do not cover, or that they do."""
+    if gps_sd > 0.98 * scatter:  # of rounded numbers
+        return f"; gps_sd = {gps_sd:.3g} in the particulars covers it"
+    return f"; else raise gps_sd to {scatter:.2g}"
 
 
 def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
@@ -343,8 +360,8 @@ def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
     ]
 
 
-def _in_degrees(fix: Array) -> str:
-    """Return why positions must be latitude and longitude, or nothing."""
+def in_degrees(fix: Array) -> str:
+    """Return why positions (N, 2) without NaN must be latitude and longitude, or nothing."""
     # a receiver without satellites writes (0, 0): this is no place of the boat
     fix = fix[fix.any(axis=1)]
     if len(fix) < ENOUGH:

@@ -12,7 +12,7 @@ import numpy as np
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, integrated, sampled, ways
-from twin.logs.diagnosis.track import compass_reversed, thrust_sign
+from twin.logs.diagnosis.track import BOTH_MIRRORED, compass_reversed, thrust_sign
 
 __all__ = [
     "Effect",
@@ -440,7 +440,10 @@ def _against(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
     else:
         called = recording.called("n_left_rps", "n_right_rps")
         code, what = "sides-swapped", f"{called}: the boat turns to the side that pushes more"
-        remedy = "swap the two columns in a mapping file, or turn their sign if both run backwards"
+        remedy = (
+            "swap the two columns in a mapping file, or turn their sign if both run backwards"
+            + BOTH_MIRRORED
+        )
     what += f", {-circles:.1f} times around: no wind does that"
     return [Finding(ERROR, code, what, remedy, {"circles": circles})]
 
@@ -474,7 +477,8 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
         "difference": (
             "sides-swapped",
             f"{shafts}: left and right are swapped: more thrust on the left turns the boat to port",
-            "swap the two columns in a mapping file, or turn their sign if both run backwards",
+            "swap the two columns in a mapping file, or turn their sign if both run backwards"
+            + BOTH_MIRRORED,
         ),
         "steering": (
             "steering-sign",

@@ -100,7 +100,7 @@ def sensor_rates(recording: Recording) -> dict[str, float]:
 
 def check_timing(recording: Recording) -> list[Finding]:
     """Return what is wrong with the times of a log and of its sensors."""
-    found = _order(recording.stamps)
+    found = _order(recording.stamps, recording.clashes)
     t = recording.t
     if len(t) < ENOUGH:
         return found
@@ -123,8 +123,11 @@ def check_timing(recording: Recording) -> list[Finding]:
     return found
 
 
-def _order(stamps: Array) -> list[Finding]:
-    """Return findings about times that are empty, equal or go back."""
+def _order(stamps: Array, clashes: int) -> list[Finding]:
+    """Return findings about times that are empty, equal or go back.
+
+    Of the equal ones, ``clashes`` rows contradict the row before.
+    """
     found = []
     empty = int((~np.isfinite(stamps)).sum())
     if empty:
@@ -154,16 +157,22 @@ def _order(stamps: Array) -> list[Finding]:
         )
     equal = int((step == 0.0).sum())
     if equal:
-        found.append(
-            Finding(
-                NOTE,
-                "time-equal",
-                f"{equal} of {len(valid)} rows have the time of the row before",
-                "rows that do not contradict each other are merged when the log is read",
-                {"rows": equal},
-            )
-        )
+        found.append(_equal(valid, equal, clashes))
     return found
+
+
+def _equal(valid: Array, equal: int, clashes: int) -> Finding:
+    """Return the finding about rows with the time of the row before."""
+    what = f"{equal} of {len(valid)} rows have the time of the row before"
+    evidence = {"rows": float(equal), "clashes": float(clashes)}
+    if not clashes:
+        remedy = "they do not contradict it, and are merged with it when the log is read"
+        return Finding(NOTE, "time-equal", what, remedy, evidence)
+    if 2 * equal > len(valid):
+        what += ", as times in whole seconds do"
+    what += f"; {clashes} of them have other values"
+    remedy = "record fractions of a second, or keep one row of each time"
+    return Finding(ERROR, "time-equal", what, remedy, evidence)
 
 
 def _gaps(t: Array, step: Array, median: float) -> list[Finding]:

@@ -13,6 +13,7 @@ from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recordin
 from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, sampled, ways
 
 __all__ = [
+    "BOTH_MIRRORED",
     "SURE",
     "TrackFit",
     "check_track",
@@ -48,6 +49,12 @@ SURE, _LIKELY = 4.0, 1.0
 
 _NEVER_LESS = 0.05**2
 """A mean square that is left counts as no less: waves and leeway bend any track by .05 rad."""
+
+BOTH_MIRRORED = (
+    '; or latitude and longitude are swapped, and frame = "enu" hides it: exchange the two and '
+    "take the frame out"
+)
+"""A remedy: a track and a heading that are mirrored alike agree, and turn against the commands."""
 
 _EXPLAINED = 0.75
 """A track that leaves more than this share of its speed unexplained tells nothing."""
@@ -334,7 +341,7 @@ def thrust_sign(recording: Recording, what: str, fit: Any) -> Finding:
         "thrust-sign",
         f"{recording.called('n_left_rps', 'n_right_rps')}: {what}",
         "turn the sign of the shaft speeds (scale = -1.0 in a mapping file), or of the compass "
-        "(offset = 3.1416)",
+        f"(offset = 3.1416){BOTH_MIRRORED}",
         fit._asdict(),
     )
 

@@ -22,7 +22,7 @@ from twin.logs.dates import (
     joined,
     padded,
 )
-from twin.logs.header_words import NAMES, means, unit_of
+from twin.logs.proposal.header_words import NAMES, means, unit_of
 
 if TYPE_CHECKING:
     import polars as pl

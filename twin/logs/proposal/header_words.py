@@ -12,7 +12,9 @@ __all__ = [
     "STEER",
     "is_command",
     "is_side",
+    "is_turn_rate",
     "means",
+    "other_side",
     "sides_of",
     "unit_of",
     "words_of",
@@ -21,7 +23,7 @@ __all__ = [
 SIDES = {"left": r"left|port|ps|l|1", "right": r"right|starboard|stbd|sb|r|2"}
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
-SHAFT = r"n|rpm|rps|pwm|shaft|motor|thruster|throttle|prop|propeller|esc|servo|engine|revs"
+SHAFT = r"n|rpm|rps|pwm|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|servo|engine|revs"
 
 STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm"
 
@@ -34,7 +36,7 @@ NAMES = {
     "speed": r"sog|speed|spd|velocity|groundspeed",
     "course": r"cog|course|crs|gcrs|track",
     "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
-    "gyro": r"gyro|gyr|rot|yawrate|r|gz|gyrz|turn",
+    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|turn",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",
     "accel_z": r"az|accz|accelz",
@@ -102,9 +104,21 @@ def unit_of(name: str, among: Sequence[str]) -> str:
     return ""
 
 
+def is_turn_rate(name: str) -> bool:
+    """Return whether a name is that of a rate of turn, such as ``YawRate`` or ``yaw [deg/s]``."""
+    turns = rf"{NAMES['heading']}|{NAMES['gyro']}"
+    rates = r"rate|speed|velocity|vel|dot|angvel"
+    words = words_of(name)
+    if not any(re.fullmatch(rf"({turns})({rates})?", word) for word in words):
+        return False
+    if any(re.fullmatch(rf"({turns})?({rates})", word) for word in words):
+        return True
+    return bool(unit_of(name, ("degpmin", "degps", "radps")))
+
+
 def is_command(name: str, pattern: str) -> bool:
     """Return whether a name is that of a command: a word of a pattern, with or without a side."""
-    side = rf"({'|'.join(SIDES.values())}|\d)?"
+    side = rf"({'|'.join(SIDES.values())}|[ab]|\d)?"
     return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
 
 
@@ -125,3 +139,35 @@ def sides_of(names: Sequence[str]) -> tuple[str, str] | None:
         found[side] = next(iter(whole or ending), None)
     left, right = found["left"], found["right"]
     return None if left is None or right is None or left == right else (left, right)
+
+
+_PAIRS = (("a", "b"), ("1", "2"), ("0", "1"), ("1", "3"))
+"""Ends of the names of two sides, left first; ArduPilot steers by outputs 1 and 3."""
+
+
+def other_side(name: str, among: Sequence[str]) -> tuple[str, str] | None:
+    """Return the left and the right of two columns whose names differ by a letter or digit alone.
+
+    Parameters
+    ----------
+    name : str
+        One of them.
+    among : sequence of str
+        Where the other is looked for.
+    """
+    words = words_of(name)
+    for ends in reversed(_PAIRS):
+        for other in among:
+            pair = _apart(words, words_of(other))
+            if pair in (ends, ends[::-1]):
+                return (name, other) if pair == ends else (other, name)
+    return None
+
+
+def _apart(words: Sequence[str], others: Sequence[str]) -> tuple[str, str] | None:
+    """Return the ends by which two names differ, if they differ in the end of one word."""
+    unlike = [pair for pair in zip(words, others, strict=False) if pair[0] != pair[1]]
+    if len(words) != len(others) or len(unlike) != 1:
+        return None
+    one, two = unlike[0]
+    return (one[-1], two[-1]) if one[:-1] == two[:-1] else None

@@ -1,0 +1,169 @@
+"""Columns whose names mislead: yaw rates, two of a pair, degrees, swapped places, units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from twin.cli.main import app
+from twin.logs.errors import LogError
+from twin.logs.log import Log
+from twin.logs.proposal.header_words import is_turn_rate, other_side
+from twin.logs.proposal.propose import propose
+
+ROWS = 1200
+Columns = dict[str, np.ndarray]
+LATITUDE, LONGITUDE = 59.9, 10.7
+
+
+def boat() -> Columns:
+    """Return a boat with two fixed thrusters whose difference turns it to either side, at 5 Hz."""
+    t = 0.2 * np.arange(ROWS)
+    turn = np.sign(np.sin(0.21 * t) + 0.4 * np.sin(0.083 * t))
+    left, right = 10.0 + 2.0 * turn, 10.0 - 2.0 * turn
+    rate = np.zeros(ROWS)
+    for k in range(1, ROWS):
+        rate[k] = rate[k - 1] + 0.2 * (0.4 * turn[k] - rate[k - 1])
+    psi = 0.5 + 0.2 * np.cumsum(rate)
+    x, y = 0.2 * np.cumsum(1.5 * np.cos(psi)), 0.2 * np.cumsum(1.5 * np.sin(psi))
+    return {
+        "time_s": t,
+        "lat": LATITUDE + x / 111_400.0,
+        "lon": LONGITUDE + y / (111_400.0 * math.cos(math.radians(LATITUDE))),
+        "heading_deg": np.degrees(psi) % 360.0,
+        "yaw_rate_dps": np.degrees(rate),
+        "rpm_left": 60.0 * left,
+        "rpm_right": 60.0 * right,
+    }
+
+
+def renamed(columns: Columns, **names: str) -> Columns:
+    return {names.get(name, name): values for name, values in columns.items()}
+
+
+def write(path: Path, columns: Columns, more: Callable[[list[str]], list[str]] = list) -> Path:
+    lines = [",".join(columns)]
+    lines += [",".join(f"{x:.9g}" for x in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join(more(lines)) + "\n", encoding="utf-8")
+    return path
+
+
+def mapped(path: Path) -> tuple[str, Log]:
+    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    assert result.exit_code == 0, result.output
+    return " ".join(result.output.split()), Log.read(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("YawRate", "yaw_rate", "yaw_rate_dps", "Yaw rate [deg/s]", "yawspeed", "yaw_speed"),
+        *("heading rate", "rate_of_turn", "ROT", "gyro_z", "psi_dot", "yaw [rad/s]", "turn_rate"),
+    ],
+)
+def test_a_yaw_rate_is_no_heading(tmp_path: Path, name: str) -> None:
+    columns = boat()
+    del columns["heading_deg"]
+    found = propose(write(tmp_path / "a.csv", renamed(columns, yaw_rate_dps=name)))
+    lines = found.lines["columns"]
+    assert "compass_rad" in found.missing
+    assert not any(line.startswith("compass_rad") for line in lines)
+    assert any(line.startswith("gyro_radps") and name in line for line in lines)
+
+
+@pytest.mark.parametrize("name", ["yaw", "Heading [deg]", "psi_rad", "compass", "speed", "COG"])
+def test_a_heading_is_no_yaw_rate(name: str) -> None:
+    assert not is_turn_rate(name)
+
+
+PAIRS = [
+    ("servo1", "servo3"),
+    ("SERVO_OUTPUT_RAW.servo1_raw", "SERVO_OUTPUT_RAW.servo3_raw"),
+    ("motor_a", "motor_b"),
+    ("motorA", "motorB"),
+    ("thrust1", "thrust2"),
+    ("esc0", "esc1"),
+    ("thruster_0_rpm", "thruster_1_rpm"),
+]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("pair", PAIRS)
+def test_neither_of_two_like_columns_is_dropped(
+    tmp_path: Path, pair: tuple[str, str], reverse: bool
+) -> None:
+    assert other_side(pair[0], [pair[1]]) == other_side(pair[1], [pair[0]]) == pair
+    columns = boat()
+    left, right = columns.pop("rpm_left"), columns.pop("rpm_right")
+    if "servo" in pair[0]:
+        left, right = (1500.0 + each for each in (left / 2.0, right / 2.0))
+    both = {pair[0]: left, pair[1]: right}
+    columns |= dict(reversed(both.items())) if reverse else both
+    output, log = mapped(write(tmp_path / "a.csv", columns))
+    assert f"{pair[0]}, {pair[1]}: taken as left and right" in output
+    scale = 0.02 * 30.0 if "servo" in pair[0] else 1.0
+    truth = boat()
+    np.testing.assert_allclose(log.cmd[:, 0], scale * truth["rpm_left"] / 60.0, atol=1e-3)
+    np.testing.assert_allclose(log.cmd[:, 1], scale * truth["rpm_right"] / 60.0, atol=1e-3)
+
+
+def test_unlike_commands_are_asked(tmp_path: Path) -> None:
+    columns = renamed(boat(), rpm_left="throttle", rpm_right="shaft_rpm")
+    output, _ = mapped(write(tmp_path / "a.csv", columns))
+    assert "n_rps is taken from throttle alone" in output
+
+
+def test_shafts_tell_swapped_places_from_a_heading_from_east(tmp_path: Path) -> None:
+    swapped = renamed(boat(), lat="lon", lon="lat")
+    output, log = mapped(write(tmp_path / "a.csv", swapped))
+    assert "longitude are swapped, and they are taken so" in output
+    text = (tmp_path / "a.mapping.toml").read_text()
+    assert "enu" not in text and "scale = -1.0" not in text and 'latitude = "lon"' in text
+    assert log.datum is not None and log.datum.latitude == pytest.approx(LATITUDE, abs=1e-3)
+    east = boat()
+    east["heading_deg"] = (90.0 - east["heading_deg"]) % 360.0
+    output, _ = mapped(write(tmp_path / "b.csv", east))
+    text = (tmp_path / "b.mapping.toml").read_text()
+    assert 'frame = "enu"' in text and 'latitude = "lat"' in text
+
+
+def test_positions_in_degrees_are_no_metres(tmp_path: Path) -> None:
+    columns = renamed(boat(), lat="gps_x_m", lon="gps_y_m")
+    output, log = mapped(write(tmp_path / "a.csv", columns))
+    assert "gps_x_m, gps_y_m: degrees of latitude and longitude" in output
+    assert np.ptp(log.z[:, 0]) > 10.0
+
+
+def test_a_row_of_units_is_named(tmp_path: Path) -> None:
+    units = ["s", "deg", "deg", "deg", "deg/s", "rpm", "rpm"]
+    path = write(tmp_path / "a.csv", boat(), lambda lines: [lines[0], ",".join(units), *lines[1:]])
+    with pytest.raises(LogError, match=r"line 2 holds units.*remove this line"):
+        propose(path)
+    path.with_name("a.mapping.toml").write_text('[columns]\nt_s = "time_s"\nn_rps = "rpm_left"\n')
+    with pytest.raises(LogError, match=r"line 2 holds units.*remove this line"):
+        Log.read(path)
+
+
+def test_a_column_that_stands_twice_is_named(tmp_path: Path) -> None:
+    def doubled(lines: list[str]) -> list[str]:
+        return [f"{line},{line.split(',')[1]}" for line in lines]
+
+    with pytest.raises(LogError, match="column lat stands twice in line 1"):
+        propose(write(tmp_path / "a.csv", boat(), doubled))
+
+
+@pytest.mark.parametrize("cell", ["NaN", "-", "--", "", "N/A"])
+def test_cells_without_a_value_hide_no_column(tmp_path: Path, cell: str) -> None:
+    def holes(lines: list[str]) -> list[str]:
+        cells = [line.split(",") for line in lines]
+        for row in cells[3::4]:
+            row[1] = row[2] = cell
+        return [",".join(row) for row in cells]
+
+    _, log = mapped(write(tmp_path / "a.csv", boat(), holes))
+    assert np.isfinite(log.z[:, 0]).sum() == ROWS - len(range(2, ROWS, 4))

@@ -1,0 +1,132 @@
+"""Which columns of an unknown log hold shaft speeds and steering angles, and in which unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+
+import numpy as np
+
+from twin.logs.proposal.header_words import (
+    NAMES,
+    SHAFT,
+    STEER,
+    is_command,
+    is_side,
+    means,
+    other_side,
+    sides_of,
+    unit_of,
+    words_of,
+)
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, entry, known
+
+__all__ = ["find_commands", "find_pulses"]
+
+_LACKING = "n_left_rps, n_right_rps (or n_rps)"
+
+
+def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> None:
+    """Find shaft speeds and steering angles, of one unit or two; ``given`` ones are known."""
+    for pattern, single, pair, convert in (
+        (SHAFT, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
+        (STEER, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
+    ):
+        if any(name in given for name in (single, *pair)):
+            continue
+        there = [n for n in columns.left if n in columns.numbers and is_command(n, pattern)]
+        sides = _sides(columns, found, there, pattern)
+        if sides is not None:
+            for target, source in zip(pair, sides, strict=True):
+                add_line(found, "columns", convert(target, source, columns))
+        elif there:
+            add_line(found, "columns", convert(single, there[0], columns))
+            if len(there) > 1:
+                found.questions.append(
+                    f"{', '.join(there)}: {single} is taken from {there[0]} alone; if two of them "
+                    f"are left and right, write {pair[0]} and {pair[1]} instead"
+                )
+        elif single == "delta_rad":
+            line = "delta_rad = 0.0  # no angle found: fixed thrusters"
+            add_line(found, "columns", line)
+        else:
+            found.missing.append(_LACKING)
+
+
+def _sides(
+    columns: Columns, found: Proposal, there: list[str], pattern: str
+) -> tuple[str, str] | None:
+    """Return the columns of the left and the right, and ask where the names leave it open."""
+    outputs = _autopilot_outputs(columns, there) if pattern == SHAFT else None
+    if outputs is not None:
+        found.questions.append(
+            f"{outputs[0]}, {outputs[1]}: taken as left and right, as ArduPilot's skid steering "
+            "has its outputs 1 and 3; if output 1 steers, write n_rps and delta_rad instead"
+        )
+        return outputs
+    named = sides_of(there)
+    if named is not None and other_side(named[0], [named[1]]) is None:
+        return named
+    if not there and pattern == SHAFT:
+        # plain "left" and "right"
+        bare = sides_of([n for n in columns.left if n in columns.numbers and is_side(n)])
+        if bare is not None:
+            found.questions.append(f"{bare[0]}, {bare[1]}: taken as the shafts")
+        return bare
+    pairs = (other_side(name, there[k + 1 :]) for k, name in enumerate(there))
+    like = named or next((pair for pair in pairs if pair is not None), None)
+    if like is not None:
+        found.questions.append(
+            f"{like[0]}, {like[1]}: taken as left and right; exchange them if it is the other way"
+        )
+    return like
+
+
+def _autopilot_outputs(columns: Columns, there: list[str]) -> tuple[str, str] | None:
+    """Return outputs 1 and 3 of an autopilot, where both move and output 2 does not."""
+    moving: dict[str, str] = {}
+    for name in there:
+        found = [re.fullmatch(r"servo(\d)", word) for word in words_of(name)]
+        values = known(columns.numbers[name])
+        for match in found:
+            if match is not None and len(values) and np.ptp(values) > 0.0:
+                moving.setdefault(match[1], name)
+    return (moving["1"], moving["3"]) if {"1", "3"} <= set(moving) and "2" not in moving else None
+
+
+def find_pulses(columns: Columns, found: Proposal) -> None:
+    """Take two columns of pulse widths as the shafts, where no column is named so."""
+    pulses = [
+        name
+        for name in columns.left
+        if (values := known(columns.numbers.get(name, np.empty(0)))).size
+        and values.min() >= 800.0
+        and values.max() <= 2200.0
+        and (np.ptp(values) > 20.0 or means(name, NAMES["channel"]))
+    ]
+    if _LACKING not in found.missing or len(pulses) != 2:
+        return
+    found.missing.remove(_LACKING)
+    found.questions.append(f"{pulses[0]}, {pulses[1]}: left and right? Or throttle and steering?")
+    for target, name in zip(("n_left_rps", "n_right_rps"), pulses, strict=True):
+        add_line(found, "columns", _shaft(target, name, columns))
+
+
+def _shaft(target: str, name: str, columns: Columns) -> str:
+    values = known(columns.numbers[name])
+    most = float(np.abs(values).max(initial=0.0))
+    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in words_of(name):
+        more = "scale = 0.02, offset = -30.0"
+        return entry(target, columns.take(name), "", more, "pulse width, 1500 us: stop")
+    words = words_of(name)
+    if "rpm" in words or most > 150.0:
+        why = "" if "rpm" in words else "by its size"
+        return entry(target, columns.take(name), "rpm", why=why)
+    return entry(target, columns.take(name), "", "", "rev/s, or any unit: as in the particulars")
+
+
+def _steer(target: str, name: str, columns: Columns) -> str:
+    most = float(np.abs(known(columns.numbers[name])).max(initial=0.0))
+    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
+    why = "above 0 must turn to starboard"
+    return entry(target, columns.take(name), "deg" if unit == "deg" else "", "", why)

@@ -1,0 +1,190 @@
+"""Which columns of an unknown log hold the position, and in which order."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+
+from twin.channels import MEASUREMENTS
+from twin.logs.columns import Array
+from twin.logs.datum import radii
+from twin.logs.diagnosis.findings import Recording
+from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
+from twin.logs.diagnosis.signs import turned_by
+from twin.logs.diagnosis.track import compass_on_track
+from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, entry, known, pick
+from twin.logs.readers import EMPTY, is_number
+
+__all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
+
+_NMEA = 18060.0
+"""Degrees and minutes in one number are below this."""
+
+
+def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[Array, Array] | None:
+    """Find the position, and return times and metres north and east."""
+    latitude, longitude = pick(columns, "latitude"), pick(columns, "longitude")
+    if latitude is not None and longitude is not None:
+        return place_degrees(columns, found, t, (latitude, longitude))
+    _ask_texts(columns, found)
+    north, east = pick(columns, "north"), pick(columns, "east")
+    if all(name in columns.left and name in columns.numbers for name in MEASUREMENTS[:2]):
+        north, east = MEASUREMENTS[:2]
+    if north is None or east is None:
+        found.missing += ["gps_x_m", "gps_y_m"]
+        return None
+    fix = np.column_stack([columns.numbers[north], columns.numbers[east]])
+    if in_degrees(fix[np.isfinite(fix).all(axis=1)]):
+        found.questions.append(f"{north}, {east}: degrees of latitude and longitude, by their size")
+        return place_degrees(columns, found, t, (north, east))
+    add_line(found, "columns", entry("gps_x_m", columns.take(north), why="north?"))
+    add_line(found, "columns", entry("gps_y_m", columns.take(east), why="east?"))
+    return None if t is None else clean(t, fix)
+
+
+def _ask_texts(columns: Columns, found: Proposal) -> None:
+    """Name latitudes and longitudes that are texts."""
+    for name in columns.left:
+        if name in columns.numbers or not any(
+            means(name, NAMES[meaning]) for meaning in ("latitude", "longitude")
+        ):
+            continue
+        for cell in columns.text[name].drop_nulls():
+            if cell.strip() not in ("", *EMPTY) and not is_number(cell):
+                side = "south" if means(name, NAMES["latitude"]) else "west"
+                found.questions.append(
+                    f"{name}: {cell!r} is no number; write degrees, {side} below 0"
+                )
+                break
+
+
+def place_degrees(
+    columns: Columns, found: Proposal, t: Array | None, names: tuple[str, str]
+) -> tuple[Array, Array] | None:
+    """Write the table [position], and return times and metres north and east.
+
+    Parameters
+    ----------
+    columns : Columns
+        Of the log.
+    found : Proposal
+        Gets the table, and questions.
+    t : ndarray, shape (N,), or None
+        Time, s.
+    names : tuple of str
+        Columns of latitude and longitude, by their names.
+    """
+    lat, lon = (columns.numbers[name] for name in names)
+    most = [float(np.abs(known(each)).max(initial=0.0)) for each in (lat, lon)]
+    if most[0] > 1e6 and most[1] <= 1.8e9:
+        lat, lon = 1e-7 * lat, 1e-7 * lon
+        most = [1e-7 * each for each in most]
+        add_line(found, "position", "scale = 1e-7  # as MAVLink has them")
+    swapped = ""
+    if most[0] > 90.0 >= most[1]:
+        swapped = (
+            f"{names[0]} reaches {most[0]:.4g} degrees: latitude and longitude are swapped, and "
+            "taken so"
+        )
+    elif most[0] > 90.0:
+        nmea = most[0] < 9060.0 and most[1] < _NMEA
+        found.questions.append(
+            f"{names[0]} reaches {most[0]:.6g}, no latitude: convert it to degrees before"
+            + " (NMEA has degrees and minutes in one number, ddmm.mm)" * nmea
+        )
+    elif _is_swapped(columns, t, lat, lon):
+        swapped = (
+            f"{names[0]}, {names[1]}: the course over ground goes with them only if latitude "
+            "and longitude are swapped, and they are taken so"
+        )
+    elif _is_swapped_by_heading(columns, t, lat, lon):
+        swapped = (
+            f"{names[0]}, {names[1]}: heading and commands go with them only if latitude and "
+            "longitude are swapped, and they are taken so"
+        )
+    if swapped:
+        found.questions.append(swapped)
+        names, (lat, lon), most = names[::-1], (lon, lat), most[::-1]
+    for key, name in zip(("latitude", "longitude"), names, strict=True):
+        add_line(found, "position", f"{key} = {json.dumps(columns.take(name), ensure_ascii=False)}")
+    return None if t is None or most[0] > 90.0 else _metres(t, lat, lon)
+
+
+def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
+    """Return times and metres north and east of the first fix, of degrees."""
+    first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
+    if not first.any():
+        return None
+    to_north, to_east = radii(float(lat[first][0]))
+    north = np.radians(lat - lat[first][0]) * to_north
+    return clean(t, np.column_stack([north, np.radians(lon - lon[first][0]) * to_east]))
+
+
+def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+    """Return whether speed and course over ground say that latitude and longitude are swapped."""
+    speed, course = pick(columns, "speed"), pick(columns, "course")
+    if t is None or speed is None or course is None or speed == course:
+        return False
+    angle = columns.numbers[course]
+    angle = angle if angle_unit(course, angle) == "rad" else np.radians(angle)
+    value = columns.numbers[speed]
+    velocity = clean(t, np.column_stack([value * np.cos(angle), value * np.sin(angle)]))
+    coherence = []
+    for one, other in ((lat, lon), (lon, lat)):
+        if np.abs(known(one)).max(initial=0.0) > 90.0:
+            return False
+        fix = _metres(t, one, other)
+        fit = None if fix is None else velocity_on_fixes(fix, velocity)
+        aligned = fit is not None and abs(fit.turned) < 0.3
+        coherence.append(fit.coherence if fit is not None and aligned else 0.0)
+    return coherence[1] > 0.9 and coherence[0] < 0.6
+
+
+def is_from_east(fix: tuple[Array, Array], heading: tuple[Array, Array]) -> bool | None:
+    """Return whether the track says that a heading (rad) counts from east; None if it turns wrong.
+
+    The same holds for a heading from north where latitude and longitude are swapped.
+    """
+    fit = compass_on_track(fix, heading)
+    if fit is None or not (fit.mirrored > 0.7 and fit.mirrored > fit.along + 0.3):
+        return False
+    return True if abs(fit.mirror - 0.5 * math.pi) < 0.6 else None
+
+
+def _is_swapped_by_heading(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+    """Return whether the heading counts from east by the track, but from north by the shafts.
+
+    More thrust to port increases a heading that runs clockwise from north.
+    """
+    name = pick(columns, "heading")
+    fix = None if t is None else _metres(t, lat, lon)
+    if t is None or fix is None or name is None or np.abs(known(lon)).max(initial=0.0) > 90.0:
+        return False
+    values = columns.numbers[name]
+    if np.abs(known(values)).max(initial=0.0) > 3000.0:
+        values = 0.01 * values
+    angle = values if angle_unit(name, values) == "rad" else np.radians(values)
+    if not is_from_east(fix, clean(t, angle)):
+        return False
+    there = [n for n in columns.left if n in columns.numbers and is_command(n, SHAFT)]
+    sides = sides_of(there)
+    if sides is None:
+        return False
+    data = {"t_s": t, "compass_rad": angle}
+    for target, each in zip(("n_left_rps", "n_right_rps"), sides, strict=True):
+        shaft = columns.numbers[each]
+        pulses = known(shaft).min(initial=math.inf) >= 800.0 and known(shaft).max() <= 2200.0
+        data[target] = shaft - 1500.0 * pulses
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return turned_by(Recording.of(data, {}, "log")) > 0
+
+
+def angle_unit(name: str, values: Array) -> str:
+    """Return ``deg`` or ``rad``, from the name, else from the values."""
+    most = float(np.abs(known(values)).max(initial=0.0))
+    if most > 4.0 * math.pi:
+        return "deg"
+    return unit_of(name, ("deg", "rad")) or ("deg" if most > 2.0 * math.pi else "rad")

@@ -1,0 +1,334 @@
+"""A first mapping file for a log of unknown columns, from their names and values."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.columns import OTHER_UNITS, SINGLE, Array
+from twin.logs.diagnosis.heading import gyro_on_compass
+from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
+from twin.logs.proposal.commands import find_commands, find_pulses
+from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
+from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
+from twin.logs.proposal.sheet import (
+    Columns,
+    Proposal,
+    add_line,
+    clean,
+    entry,
+    known,
+    pick,
+    read_columns,
+)
+from twin.logs.proposal.time_columns import find_time
+
+__all__ = [
+    "Proposal",
+    "propose",
+]
+
+
+_FASTEST = 3.0
+"""No boat turns faster for more than a moment, rad/s."""
+
+
+def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
+    """Return a mapping for the columns of a CSV or Parquet file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+    order : str
+        ``day-first`` or ``month-first``, where dates leave it open.
+    zone : str
+        By how much the clock is ahead of UTC, as ``-05:00``, where its name leaves it open.
+
+    Returns
+    -------
+    Proposal
+        With ``choices`` or ``zone`` where an answer is needed and not given.
+
+    Raises
+    ------
+    LogError
+        Where the file cannot be read.
+    """
+    path = Path(path)
+    columns = read_columns(path)
+    found = Proposal()
+    t = _time(columns, found, (order, zone))
+    own = _own_names(columns, found)
+    fix = own.position(t) if own.has("gps_x_m") else find_position(columns, found, t)
+    if not own.has("gps_vx_mps") and not _velocity(columns, found, t, fix):
+        _components(columns, found, t, fix)
+    heading = own.heading(t) if own.has("compass_rad") else _heading(columns, found, t, fix)
+    if not own.has("gyro_radps"):
+        _gyro(columns, found, t, heading)
+        if heading is None:
+            _gyro_by_size(columns, found)
+    _motion(columns, found)
+    _plain(columns, found)
+    find_commands(columns, found, own.values)
+    find_pulses(columns, found)
+    if columns.left:
+        found.questions.append(f"left out: {', '.join(columns.left)}")
+    return found
+
+
+def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array | None:
+    """Find the time, and return it in seconds."""
+    time = find_time(columns.text, columns.numbers, columns.left, answers)
+    found.questions += time.questions
+    found.choices, found.zone = time.choices, time.zone
+    if not time.names:
+        found.missing.append("t_s")
+        return None
+    *date, clock = [columns.take(name) for name in time.names]
+    line = entry("t_s", clock, time.unit, time.more, time.why)
+    if date:
+        two = f"from = [{json.dumps(date[0])}, {json.dumps(clock)}]"
+        line = line.replace(f"from = {json.dumps(clock, ensure_ascii=False)}", two)
+    add_line(found, "columns", line)
+    return time.seconds
+
+
+@dataclass
+class _Own:
+    """Columns that have the names of a log of this package, in SI units."""
+
+    values: dict[str, Array] = field(default_factory=dict)
+
+    def has(self, name: str) -> bool:
+        return name in self.values
+
+    def position(self, t: Array | None) -> tuple[Array, Array] | None:
+        if t is None or not self.has("gps_y_m"):
+            return None
+        return clean(t, np.column_stack([self.values["gps_x_m"], self.values["gps_y_m"]]))
+
+    def heading(self, t: Array | None) -> tuple[Array, Array] | None:
+        return None if t is None else clean(t, self.values["compass_rad"])
+
+
+_OTHER_NAMES = {"wind_true_mps": "wind_mps", "wind_true_from_rad": "wind_from_rad"}
+"""Names of recorded data sets."""
+
+
+def _own_names(columns: Columns, found: Proposal) -> _Own:
+    """Take the columns that have the names of this package: as they are, or in degrees or rpm."""
+    own = _Own()
+    degrees = _positions_in_degrees(columns)
+    for name in [name for name in columns.left if name in columns.numbers]:
+        if degrees and name in MEASUREMENTS[:2]:
+            continue  # for [position]
+        given = _OTHER_NAMES.get(name, name)
+        target, factor = OTHER_UNITS.get(given, (given, 1.0))
+        if target in (*COMMANDS, *SINGLE, *MEASUREMENTS) and not own.has(target):
+            unit = "" if target == given else given.rpartition("_")[2]
+            own.values[target] = factor * columns.numbers[name]
+            add_line(found, "columns", entry(target, columns.take(name), unit))
+    for one, other in (("gps_x_m", "gps_y_m"), ("gps_vx_mps", "gps_vy_mps")):
+        if own.has(one) != own.has(other):
+            found.missing.append(other if own.has(one) else one)
+    return own
+
+
+def _positions_in_degrees(columns: Columns) -> bool:
+    """Return whether the columns that are named as metres hold latitude and longitude."""
+    names = MEASUREMENTS[:2]
+    if not all(name in columns.numbers and name in columns.left for name in names):
+        return False
+    fix = np.column_stack([columns.numbers[name] for name in names])
+    return bool(in_degrees(fix[np.isfinite(fix).all(axis=1)]))
+
+
+def _components(
+    columns: Columns, found: Proposal, t: Array | None, fix: tuple[Array, Array] | None
+) -> None:
+    """Find velocities to north and east; the fixes tell the unit, and whether they are that."""
+    north, east = pick(columns, "to_north"), pick(columns, "to_east")
+    if north is None or east is None:
+        return
+    fit = None
+    if t is not None and fix is not None:
+        velocity = np.column_stack([columns.numbers[north], columns.numbers[east]])
+        fit = velocity_on_fixes(fix, clean(t, velocity))
+    sound = fit is not None and fit.coherence > 0.9 and abs(fit.turned) < 0.3
+    unit = "" if fit is None or not sound else _speed_unit(fit.ratio)
+    hundredths = fit is not None and sound and abs(100.0 * fit.ratio - 1.0) < 0.12
+    if not unit and not hundredths:
+        found.questions.append(
+            f"{north}, {east}: are these m/s to north and east? The fixes do not say so"
+        )
+        return
+    more = "scale = 0.01" if hundredths else ""
+    for target, name in (("gps_vx_mps", north), ("gps_vy_mps", east)):
+        given = "" if unit in ("", "mps") else unit
+        add_line(
+            found, "columns", entry(target, columns.take(name), given, more, "as the fixes say")
+        )
+
+
+def _velocity(
+    columns: Columns, found: Proposal, t: Array | None, fix: tuple[Array, Array] | None
+) -> bool:
+    """Find speed and course over ground, if they are there; the fixes tell the speed's unit."""
+    speed, course = pick(columns, "speed"), pick(columns, "course")
+    if speed is None or course is None or speed == course:
+        return False
+    radians = angle_unit(course, columns.numbers[course]) == "rad"
+    angle = columns.numbers[course] * (1.0 if radians else math.pi / 180.0)
+    unit = unit_of(speed, ("kn", "kmph", "mps"))
+    why = ""
+    if t is not None and fix is not None:
+        value = columns.numbers[speed]
+        velocity = np.column_stack([value * np.cos(angle), value * np.sin(angle)])
+        fit = velocity_on_fixes(fix, clean(t, velocity))
+        by_fixes = "" if fit is None else _speed_unit(fit.ratio)
+        if by_fixes and unit and by_fixes != unit:
+            found.questions.append(f"{speed}: named {unit}, but the fixes say {by_fixes}")
+        if by_fixes:
+            unit, why = by_fixes, "as the fixes say"
+    if not unit:
+        found.questions.append(f"{speed}: knots or m/s? m/s is taken")
+    add_line(
+        found,
+        "velocity",
+        entry("speed", columns.take(speed), "" if unit in ("", "mps") else unit, why=why),
+    )
+    add_line(found, "velocity", entry("course", columns.take(course), "" if radians else "deg"))
+    return True
+
+
+def _speed_unit(ratio: float) -> str:
+    """Return the unit of a speed that is so many times too small."""
+    units = {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6}
+    return next((unit for unit, scale in units.items() if abs(ratio / scale - 1.0) < 0.12), "")
+
+
+def _heading(
+    columns: Columns, found: Proposal, t: Array | None, fix: tuple[Array, Array] | None
+) -> tuple[Array, Array] | None:
+    """Find the heading; the track tells whether it counts from east. Return it in rad."""
+    name = pick(columns, "heading")
+    if name is None:
+        found.missing.append("compass_rad")
+        return None
+    values, more, why = columns.numbers[name], "", ""
+    if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
+        values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
+    unit = angle_unit(name, values)
+    values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
+    heading = None if t is None else clean(t, values)
+    east = False if heading is None or fix is None else is_from_east(fix, heading)
+    if east is None:
+        found.questions.append(f"{name}: turns against the track; check its sign")
+    elif east and heading is not None:
+        more = f"{more}, " * bool(more) + 'frame = "enu"'
+        why = "it counts from east, as the track says"
+        if "position" in found.lines:
+            found.questions.append(
+                f"{name}: counts from east, or latitude and longitude are swapped"
+            )
+        heading = heading[0], 0.5 * math.pi - heading[1]
+    line = entry("compass_rad", columns.take(name), "deg" if unit == "deg" else "", more, why)
+    add_line(found, "columns", line)
+    return heading
+
+
+def _gyro(
+    columns: Columns, found: Proposal, t: Array | None, heading: tuple[Array, Array] | None
+) -> None:
+    """Find the yaw rate; the heading tells which it is, its unit and sign."""
+    best, name = None, pick(columns, "gyro")
+    if name is None:
+        return
+    if t is not None and heading is not None:
+        for each in columns.left:
+            named = means(each, NAMES["gyro"]) or is_turn_rate(each)
+            if each not in columns.numbers or not named:
+                continue
+            fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
+            if fit is not None and (best is None or abs(fit.correlation) > abs(best.correlation)):
+                best, name = fit, each
+    unit = unit_of(name, ("degpmin", "degps", "radps"))
+    scale = {"degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
+    more = why = ""
+    if best is not None and abs(best.correlation) > 0.8:
+        for each in ("radps", "degps", "degpmin"):
+            if 0.7 < abs(best.scale) * scale.get(each, 1.0) < 1.4:
+                unit, why = each, "as the heading says"
+        if best.scale < 0.0:
+            more, why = "scale = -1.0", "it turns against the heading"
+    elif best is not None:
+        found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    given = "" if unit in ("", "radps") else unit
+    add_line(found, "columns", entry("gyro_radps", columns.take(name), given, more, why))
+
+
+def _gyro_by_size(columns: Columns, found: Proposal) -> None:
+    """Tell the unit of a yaw rate by its size, where there is no heading and no unit."""
+    lines = found.lines.get("columns", [])
+    line = next((text for text in lines if text.startswith('gyro_radps = "')), "")
+    if not line:
+        return
+    name = json.loads(line.removeprefix("gyro_radps = "))
+    most = float(np.quantile(np.abs(known(columns.numbers[name])), 0.99))
+    if most > _FASTEST:
+        lines[lines.index(line)] = entry("gyro_radps", name, "degps", why="by its size")
+    elif not unit_of(name, ("radps",)):
+        found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
+
+
+def _motion(columns: Columns, found: Proposal) -> None:
+    """Find roll, pitch and heave; ``usv-twin log check`` tells whether signs and axes are right."""
+    for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
+        name = pick(columns, meaning)
+        if name is not None:
+            steep = np.abs(known(columns.numbers[name])).max(initial=0.0) > 0.5 * math.pi
+            unit = "deg" if steep else unit_of(name, ("deg", "rad"))
+            add_line(found, "columns", entry(target, columns.take(name), "deg" * (unit == "deg")))
+    for target, meaning in (("gyro_x_radps", "gyro_x"), ("gyro_y_radps", "gyro_y")):
+        name = pick(columns, meaning)
+        if name is not None:
+            add_line(found, "columns", entry(target, columns.take(name), unit_of(name, ("degps",))))
+    name = pick(columns, "accel_z")
+    if name is not None:
+        up = float(np.median(known(columns.numbers[name]))) > 0.0
+        more, why = ("scale = -1.0", "it points up") if up else ("", "")
+        line = entry("accel_z_mps2", columns.take(name), unit_of(name, ("g",)), more, why)
+        add_line(found, "columns", line)
+    for target, meaning in (("gps_z_m", "height"), ("gps_vz_mps", "climb")):
+        name = pick(columns, meaning)
+        if name is not None:
+            line = entry(target, columns.take(name), "", "scale = -1.0", "down is above 0")
+            add_line(found, "columns", line)
+
+
+def _plain(columns: Columns, found: Proposal) -> None:
+    """Find accelerometers and wind."""
+    for target, meaning, units in (
+        ("accel_x_mps2", "accel_x", ("g",)),
+        ("accel_y_mps2", "accel_y", ("g",)),
+        ("wind_mps", "wind_speed", ("kn", "kmph")),
+        ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
+    ):
+        name = pick(columns, meaning)
+        if name is not None:
+            add_line(found, "columns", entry(target, columns.take(name), unit_of(name, units)))
+    for target, meaning in (
+        ("wind_from_rad", "wind_from"),
+        ("apparent_wind_rad", "apparent_from"),
+    ):
+        name = pick(columns, meaning)
+        if name is not None:
+            unit = angle_unit(name, columns.numbers[name])
+            line = entry(target, columns.take(name), "deg" if unit == "deg" else "")
+            add_line(found, "columns", line)
