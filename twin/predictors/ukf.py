@@ -135,13 +135,8 @@ class UKFWork(NamedTuple):
 @inlined
 def _accelerations(dt, z, nav, state, given, model, scratch):
     """Write what the model says of the accelerations, for the navigation."""
-    x, act, envelope, terms, accel = (
-        state.x,
-        state.act,
-        given.envelope,
-        scratch.terms,
-        scratch.accel,
-    )
+    x, act, envelope = state.x, state.act, given.envelope
+    terms, accel = scratch.terms, scratch.accel
     for k in range(accel.shape[0]):
         accel[k] = 0.0
     if nav.begun == 0.0:
