@@ -173,6 +173,7 @@ FAULTS: dict[str, tuple[Fault, Collection[str], Collection[int]]] = {
     "knots as m/s": (measured(VX, VY)(lambda z: z / KNOT), {"speed-unit"}, TURNING),
     "km/h as m/s": (measured(VX, VY)(lambda z: 3.6 * z), {"speed-unit"}, TURNING),
     "course in degrees": (measured(VX, VY)(course_as_radians), {"course-unit"}, TURNING),
+    "velocity reversed": (measured(VX, VY)(lambda z: -z), {"velocity-reversed"}, TURNING),
     "velocity swapped": (measured(VX, VY)(lambda z: z[:, ::-1]), {"velocity-mirrored"}, ROUND),
     "GPS late": (late_by(0.5, X, Y, VX, VY), {"gps-late"}, IN_WAVES),
     "accelerometers in g": (measured(AX, AY)(lambda z: z / 9.81), {"accel-unit"}, IN_WAVES),

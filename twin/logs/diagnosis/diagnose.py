@@ -25,6 +25,7 @@ from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
 from twin.logs.diagnosis.position import (
     StampFit,
     VelocityFit,
+    agrees,
     check_position,
     find_jumps,
     fix_stamps,
@@ -183,6 +184,13 @@ def without_fixes(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def without_velocity(recording: Recording) -> Recording:
+    """Return a recording without velocities over ground."""
+    z = recording.z.copy()
+    z[:, 2:4] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def measure(recording: Recording) -> Measured:
     """Return what the sensors of a log are like.
 
@@ -205,14 +213,16 @@ def measure(recording: Recording) -> Measured:
         "accel_mps2": _noise(*accel),
         **{key: _noise(*recording.samples(*names)) for key, names in _TILT_NOISE.items()},
     }
-    moved = imu_on_fixes(recording)
+    way = velocity_on_fixes(fix, velocity)
+    # a velocity that contradicts the fixes would blame the accelerometers
+    moved = imu_on_fixes(recording if agrees(way) else without_velocity(recording))
     turned = gyro_lag(t, psi, t_gyro, gyro[:, 0])
     lags = {"gyro behind compass": turned, "GPS behind accelerometers": moved and moved[1]}
     return Measured(
         sensor_rates(recording),
         noise,
         fix_stamps(*fix),
-        velocity_on_fixes(fix, velocity),
+        way,
         compass_on_track(fix, (t, psi), thrust(recording)),
         gyro_on_compass(t, psi, t_gyro, gyro[:, 0]),
         moved[0] if moved else None,

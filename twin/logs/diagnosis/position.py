@@ -24,6 +24,7 @@ __all__ = [
     "Jumps",
     "StampFit",
     "VelocityFit",
+    "agrees",
     "check_position",
     "find_jumps",
     "fix_stamps",
@@ -67,6 +68,9 @@ _UNITS = {
 
 _UNIT_NEAR, _RATIO_NEAR = 0.06, 0.15
 """A ratio within this share of a unit's is that unit; within this share of 1 it is sound."""
+
+_AGREES_ANGLE, _AGREES_COHERENCE = math.radians(45.0), 0.7
+"""Angle and coherence beyond which a velocity contradicts the track of the fixes."""
 
 
 class Jumps(NamedTuple):
@@ -376,6 +380,14 @@ def in_degrees(fix: Array) -> str:
     return ""
 
 
+def agrees(fit: VelocityFit | None) -> bool:
+    """Return whether nothing says that the velocity over ground contradicts the fixes."""
+    if fit is None:
+        return True
+    near = abs(fit.turned) < _AGREES_ANGLE and abs(fit.ratio - 1.0) < _RATIO_NEAR
+    return near and fit.coherence > _AGREES_COHERENCE
+
+
 def _velocity(recording: Recording, fit: VelocityFit | None) -> list[Finding]:
     """Return findings about a velocity over ground that the fixes contradict."""
     if fit is None:
@@ -418,6 +430,16 @@ def _velocity(recording: Recording, fit: VelocityFit | None) -> list[Finding]:
                 f"{names}: the velocity does not point along the track (coherence "
                 f"{fit.coherence:.2f})",
                 'if the course is in degrees, state unit = "deg" in the mapping',
+                evidence,
+            )
+        )
+    elif fit.coherence > 0.8 and abs(fit.turned) > math.radians(135.0):
+        found.append(
+            Finding(
+                ERROR,
+                "velocity-reversed",
+                f"{names}: the velocity points against the track of the fixes",
+                "turn its sign: north and east are above 0",
                 evidence,
             )
         )
