@@ -104,6 +104,11 @@ REFUSED_MAX = 20.0
 
 REFUSED_RATE = 5.0
 
+LOST_AGAIN, TOO_FAST, SETTLING = 3.0, 1.5, 10.0
+"""Where that happens again within so many seconds, at more than so many nominal speeds, the
+velocity is forgotten as well: it was wrong, and no receiver's velocity has corrected it. Models
+then learn nothing for the third, s."""
+
 FROZEN_TIME = 2.0
 """Seconds after which numbers that do not change may mean a boat that does not move."""
 
@@ -191,6 +196,16 @@ def _forget_biases(nav, settings):
 
 
 @kernel
+def _forget_velocity(nav, settings):
+    """Restart the velocity from rest, as at the start."""
+    n, P = nav.n, nav.P
+    for i in (U, V):
+        for k in range(N_NAV):
+            P[i, k] = P[k, i] = 0.0
+        n[i], P[i, i] = 0.0, settings.velocity_var_0
+
+
+@kernel
 def _gain(P, H, variance, gain):
     """Write P H' and return the variance of the innovation."""
     S = variance
@@ -227,8 +242,8 @@ def lacks_gps(nav):
 
 @inlined
 def is_learning_suspended(nav):
-    """Return whether checks hold sensors of the motion or the commands to be at fault."""
-    return nav.commands_doubted + nav.motion_doubted > 0.0
+    """Return whether motion or commands are in doubt, so that models must not learn from them."""
+    return nav.commands_doubted + nav.motion_doubted + nav.unsettled > 0.0
 
 
 @inlined
@@ -500,8 +515,15 @@ def navigate(nav, dt, z, model, settings, work):
         _correct_by_compass(nav, z, compass_repeats, settings, work)
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
         _take_fix(nav, z, dt, gps_repeats, settings, work)
+    nav.since_lost += dt
+    nav.unsettled = max(nav.unsettled - dt, 0.0)
+    fastest = TOO_FAST**2 * settings.velocity_var_0
     if nav.lost > 0.0:
         _forget_biases(nav, settings)
+        if nav.since_lost < LOST_AGAIN and n[U] * n[U] + n[V] * n[V] > fastest:
+            _forget_velocity(nav, settings)
+            nav.unsettled = SETTLING
+        nav.since_lost = 0.0
     remember(nav, settings)
 
 

@@ -83,6 +83,8 @@ NAVIGATION = np.dtype(
         ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
         ("count", "f8"),  # entries of the ring so far
         ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see twin.filters.dead_reckoning
+        ("since_lost", "f8"),  # time since that was last so, s
+        ("unsettled", "f8"),  # time for which models still learn nothing after it came again, s
         ("lost", "f8"),  # 1 where a refused number was taken after all in this row
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
@@ -103,6 +105,7 @@ NAVIGATION_FIELDS = {
     **dict.fromkeys(("commands_doubted", "motion_doubted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
+    **dict.fromkeys(("since_lost", "unsettled"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),
     "count": Field(low=0.0, high=2.0 * RING_ROWS, integer=True),
 }

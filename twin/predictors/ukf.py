@@ -219,7 +219,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     x, P, n, P_nav, wave_power = state.x, state.P, nav.n, nav.P, state.wave_power
     envelope, noise, mask = given.envelope, scratch.R, scratch.mask
     advance(dt, cmd, state, given, scratch)
-    if nav.motion_doubted > 0.0:
+    if nav.motion_doubted + nav.unsettled > 0.0:
         # parameters without correlation to the state learn nothing of it
         for i in range(N_STATES):
             for k in range(N_STATES, x.shape[0]):

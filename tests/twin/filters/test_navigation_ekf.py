@@ -420,3 +420,16 @@ def test_a_long_gap_in_one_row_is_as_unsure_as_in_many(zigzag, boat):
         assert positive_definite(navigator.P)
         sure.append(np.sqrt(np.diag(navigator.P)[:6]))
     assert (sure[1] > 0.99 * sure[0]).all() and (sure[1] < 10.0 * sure[0]).all(), sure
+
+
+@pytest.mark.parametrize("bias", [3.0, 5.0, -5.0, 20.0])
+def test_velocity_recovers_from_an_accelerometer_fault_without_doppler(boat, bias):
+    """Restarts of the position alone would keep a velocity of tens of metres a second for good."""
+    log = simulate("zigzag", vessel=Vessel.load("usv75"), sea=SeaState(), duration=120.0, seed=1)
+    z = log.z.copy()
+    z[:, [MEASUREMENTS.index("gps_vx_mps"), MEASUREMENTS.index("gps_vy_mps")]] = np.nan
+    z[(log.t > 40.0) & (log.t < 70.0), MEASUREMENTS.index("accel_x_mps2")] += bias
+    out, _ = run(log, boat, z)
+    e = np.abs(errors(out, log)[log.t > 90.0])
+    assert e[:, :2].max() < 6.0
+    assert e[:, 3:5].max() < 1.0
