@@ -40,7 +40,7 @@ from twin.benchmark.trust_answers import (
 )
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
-from twin.filters.navigation_ekf import Navigator
+from twin.filters.navigator import Navigator
 from twin.logs.diagnosis.findings import Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior

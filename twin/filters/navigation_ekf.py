@@ -42,13 +42,11 @@ Source: weights by the inverse square, Maronna, Martin and Yohai 2006, Robust St
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.checkpoint import State, check_fields, fill, record_views
 from twin.filters.dead_reckoning import past_motion, remember
 from twin.filters.navigation_prediction import Motion, mend, predict
 from twin.filters.navigation_state import (
@@ -60,12 +58,7 @@ from twin.filters.navigation_state import (
     IMU_LEAPS,
     IS_MODELLED,
     MODEL_VARIANCES,
-    N_MODELLED,
     N_NAV,
-    NAVIGATION,
-    NAVIGATION_FIELDS,
-    NAVIGATION_SETTINGS,
-    NAVIGATION_WORK,
     REACH,
     ROUNDS,
     SPEED_LIMIT,
@@ -73,18 +66,13 @@ from twin.filters.navigation_state import (
     TILT_Y,
     TURN_LIMIT,
     VARIANCE_MIN,
-    initial_navigation,
-    navigation_settings,
 )
-from twin.particulars import Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
 from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combine
 
 __all__ = [
-    "Navigator",
     "aid",
     "is_learning_suspended",
     "is_ready",
@@ -525,98 +513,3 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unsettled = SETTLING
         nav.since_lost = 0.0
     remember(nav, settings)
-
-
-@kernel
-def _take_row(nav, dt, z, model, settings, work):
-    """Do :func:`navigate` on flat memory."""
-    navigate(
-        as_record(nav, NAVIGATION),
-        dt,
-        z,
-        model,
-        as_record(settings, NAVIGATION_SETTINGS),
-        as_record(work, NAVIGATION_WORK),
-    )
-
-
-class Navigator:
-    """The filter with its arrays, for predictors without a model.
-
-    Parameters
-    ----------
-    particulars : Particulars
-        The boat and its instruments.
-
-    Attributes
-    ----------
-    n, P : ndarray, shapes (12,), (12, 12)
-        State and covariance; views of the memory.
-    memory : ndarray
-        All that the filter remembers, in the order of :data:`NAVIGATION`.
-    """
-
-    def __init__(self, particulars: Particulars) -> None:
-        self._settings = navigation_settings(particulars)
-        self._work = np.zeros(NAVIGATION_WORK.itemsize // 8)
-        self._model = np.zeros(N_MODELLED)
-        self.memory = initial_navigation(self._settings)
-        self._open()
-
-    def _open(self) -> None:
-        record = self.memory.view(NAVIGATION)[0]
-        self.n, self.P = record["n"], record["P"]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave the views out: those of a copy are of its own memory."""
-        return {name: value for name, value in vars(self).items() if name not in ("n", "P")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._open()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self.memory[:] = initial_navigation(self._settings)
-
-    def _views(self) -> dict[str, Array]:
-        return record_views(self.memory, NAVIGATION)
-
-    def state_dict(self) -> State:
-        """Return all that is remembered, as fields by name."""
-        return {name: view.copy() for name, view in self._views().items()}
-
-    def load_state_dict(self, state: State) -> None:
-        """Take over what :meth:`state_dict` returned."""
-        check_fields(state, self._views(), NAVIGATION_FIELDS)
-        fill(self._views(), state)
-
-    @property
-    def ready(self) -> bool:
-        """True once a fix and a heading have come."""
-        nav = self.memory.view(NAVIGATION)[0]
-        return bool(nav["has_fix"] and nav["has_heading"])
-
-    @property
-    def state(self) -> Array:
-        """State (x, y, psi, u, v, r), a view."""
-        return self.n[:6]
-
-    def update(self, dt: float, z: ArrayLike) -> Array:
-        """Take one row of measurements; see :func:`navigate`.
-
-        Parameters
-        ----------
-        dt : float
-            Time since the row before, s.
-        z : array_like, shape (19,)
-            Measurement row.
-
-        Returns
-        -------
-        ndarray, shape (6,)
-            State (x, y, psi, u, v, r), a view.
-        """
-        z = np.ascontiguousarray(z, dtype=np.float64)
-        _take_row(self.memory, dt, z, self._model, self._settings, self._work)
-        return self.n[:6]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.checkpoint import ANY, COUNT, GAPS, Field, State, StateError, restore_attributes
-from twin.filters.navigation_ekf import Navigator
+from twin.filters.navigator import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import (
     Estimate,

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.channels import MEASUREMENTS
-from twin.filters.navigation_ekf import Navigator, aid
+from twin.filters.navigation_ekf import aid
 from twin.filters.navigation_state import NAVIGATION, NAVIGATION_WORK, navigation_settings
+from twin.filters.navigator import Navigator
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
