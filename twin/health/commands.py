@@ -87,6 +87,10 @@ UNEXPLAINED, AGREED, SQUARE_MAX = 15.0, 4.0, 25.0
 """Mean squared innovations, in their variances: above the first, commands are doubtful whatever
 explains them; below the second they agree. A step counts up to the third."""
 
+AT_ODDS_ABOVE, HELD_STEPS = 7.0, 6.0
+"""Above this mismatch the parameters are held, for so many steps at most. They would else learn
+that nothing brakes the boat, and explain commands that do not reach it."""
+
 SIGN_SURE, SIGN_KEPT, CORRELATED_STEPS = 2.5, 1.0, 4.0
 """Standard deviations by which an effect must be negative to be named, and to stay so. So many
 neighbouring steps have the same error, as a wave lasts longer than a step."""
@@ -200,8 +204,11 @@ def _strongest(health):
 def _step_filters(length, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
-    # what is wrong with excluded commands must not become the model
-    learn = health.sensors[COMMAND].status != EXCLUDED
+    # what is wrong with the commands must not become the model; what lasts is a boat that changed
+    at_odds = health.mismatch > AT_ODDS_ABOVE
+    health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
+    held = at_odds and health.at_odds_steps <= HELD_STEPS
+    learn = health.sensors[COMMAND].status != EXCLUDED and not held
     suspected = not learn or health.evidence[_strongest(health)] > LEVEL_SUSPECT
     for k in range(HYPOTHESES):
         if k != force and health.evidence[k] <= 0.0:

@@ -80,6 +80,10 @@ VOTE_TIME = 8.0
 VOTE_FREE, VOTE_FACTOR = 0.25, 2.0
 """One of the two is named when the course is further from it by this (rad) and this factor."""
 
+TURNS_AGREE = 0.6
+"""Without a gyro, a compass turns as the course does if they differ by less, rad: the lag of the
+course is known roughly."""
+
 SLOW = 0.2
 """Below this share of the nominal speed a course over ground is noise."""
 
@@ -195,7 +199,7 @@ def _readmit_gyro(size, level, T, health):
 def _readmit_compass(heading, size, level, T, frozen, health, given):
     """Take the compass back after it was near the heading of dead reckoning for a while.
 
-    ``size`` is by how much it contradicts the yaw rate, ``level`` what is typical of that, rad.
+    ``size`` is by how much it contradicts gyro or course, ``level`` what is typical of that, rad.
     """
     compass = health.sensors[COMPASS_SENSOR]
     lasted = health.clock - compass.since
@@ -265,8 +269,9 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
         if health.gyro_gap < GAP_SHARE * T:
             _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
         elif compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
-            level = max(health.heading_level, _least_level(dt, given))
-            _readmit_compass(z[COMPASS], abs(step), level, T, frozen, health, given)
+            # without gyro and compass the yaw rate is a guess: only the course tells
+            apart = abs(health.course_minus_compass) if _is_course_known(health) else 0.0
+            _readmit_compass(z[COMPASS], apart, TURNS_AGREE / CLEAR, T, frozen, health, given)
     health.gyro_turn = health.gyro_time = health.gyro_gap = 0.0
 
 

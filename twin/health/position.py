@@ -80,6 +80,10 @@ right if they follow their own velocity: dead reckoning began at a wrong place."
 STEP_SURE = 3.0
 """Standard deviations of a velocity's step that no acceleration explains."""
 
+LATE_MOST, FAST = 8.0, 5.0
+"""A GPS is late by less than this, s. Of a boat that sails faster than so many levels of its
+velocity, the accelerometers tell a late one."""
+
 CALM_VELOCITY = 3.0
 """After its velocity stepped, a GPS whose fixes were near dead reckoning for so long (s) is used
 without it."""
@@ -146,17 +150,21 @@ def _reckon(dt, z, s, health):
 
 
 @inlined
-def _is_released(z, health, given):
-    """Return whether the velocity changes with a jump, though no accelerometer measured it.
+def _is_released(z, jump, health, given):
+    """Return whether the velocity changes with a jump (m), though no accelerometer measured it.
 
-    So does a GPS that was drawn away, once it is right again. Other jumps leave the velocity right.
+    So does a GPS that was drawn away, once it is right again. Other jumps leave the velocity right,
+    but for that of a GPS that begins to be late. It is as far as the boat sailed meanwhile, and
+    accelerometers contradict its velocity only where the boat is fast.
     """
     T = health.velocity_time
     sd = math.sqrt(2.0) * given.doppler_sd + (given.accel_bias_sd + given.tilt) * T
     step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
     step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
     measured = health.sensors[ACCELEROMETERS].status == OK and health.accel_gap == 0.0
-    return measured and math.hypot(step_x, step_y) > STEP_SURE * sd  # false for NaN
+    speed = math.hypot(health.velocity[0], health.velocity[1])
+    not_late = jump > LATE_MOST * speed or speed > FAST * health.velocity_level
+    return measured and not_late and math.hypot(step_x, step_y) > STEP_SURE * sd  # false for NaN
 
 
 @inlined
@@ -259,7 +267,8 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
         _take_velocity_back(T, follows, health)
     elif gps.status != EXCLUDED:
         if jumped:
-            exclude(health, GPS, RELEASED if _is_released(z, health, given) else JUMPED)
+            jump = math.hypot(step_x, step_y)
+            exclude(health, GPS, RELEASED if _is_released(z, jump, health, given) else JUMPED)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
         elif (doppler or frozen) and is_fault(max(size / level, pull), 1.0, T, gps):
             exclude(health, GPS, FROZEN if frozen else DRIFTS)

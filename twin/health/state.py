@@ -240,6 +240,7 @@ HEALTH = np.dtype(
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
+        ("at_odds_steps", "f8"),  # steps since the mismatch grew too large
         ("mismatch", "f8"),  # leaky mean of the squared innovations, in their variances
         ("likelihood", "f8", HYPOTHESES),  # logarithms, of the last step
         ("distinct", "f8", HYPOTHESES),  # how far a hypothesis differs from the one in force
