@@ -178,7 +178,7 @@ def test_scoring_changes_nothing_in_the_twin(boat: Particulars, log: Log) -> Non
 
 def test_the_bound_is_length_or_five_metres_or_noise(boat: Particulars) -> None:
     assert position_bound(boat) == boat.length
-    small = dataclasses.replace(boat, length=2.0)
+    small = dataclasses.replace(boat, length=2.0, beam=1.0, draft=0.2, mass=150.0)
     assert position_bound(small) == 5.0
     rough = dataclasses.replace(boat.instruments, gps_sd=3.0)
     assert position_bound(dataclasses.replace(small, instruments=rough)) == 15.0
@@ -207,7 +207,11 @@ def test_wrong_and_certain_forecasts_are_red(boat: Particulars, log: Log) -> Non
 
 def test_another_boat_shows_in_the_parameters(boat: Particulars, log: Log, good: Verdict) -> None:
     other = dataclasses.replace(
-        boat, length=4.0 * boat.length, beam=4.0 * boat.beam, mass=64.0 * boat.mass
+        boat,
+        length=4.0 * boat.length,
+        beam=4.0 * boat.beam,
+        draft=4.0 * boat.draft,
+        mass=64.0 * boat.mass,
     )
     found = verdict_of(other, log, "dsw-ukf-plus")
     assert len(found.answers[3].numbers["far"]) > 0

@@ -202,7 +202,11 @@ def test_gps_noise_that_is_covered_is_not_to_be_raised(share: float, covered: bo
 
 @pytest.mark.parametrize(
     ("change", "factor"),
-    [({"shaft_speed": 60.0}, 1.0), ({"shaft_speed": 1.0 / 60.0}, 1.0), ({"length": 1e4}, 1.0)],
+    [
+        ({"shaft_speed": 60.0}, 1.0),
+        ({"shaft_speed": 1.0 / 60.0}, 1.0),
+        ({"length": 3.0, "mass": 3.0, "speed": 100.0}, 1.0),
+    ],
 )
 def test_wrong_particulars_are_among_the_remedies(change: dict[str, float], factor: float) -> None:
     good = boat()

@@ -40,7 +40,9 @@ BOATS = pytest.mark.parametrize(
 
 def structure_for(name: str, steering: str = "drives", **size: float) -> Structure:
     """Return a structure with biases, of the study boat or one of another size."""
-    boat = Particulars(**{**STUDY, **size}, steering=steering)  # type: ignore[arg-type]
+    times = size.get("length", STUDY["length"]) / STUDY["length"]  # type: ignore[operator]
+    like = {"beam": times * 2.714, "draft": times * 0.526, "mass": times**3 * 3420.0}
+    boat = Particulars(**{**STUDY, **like, **size}, steering=steering)  # type: ignore[arg-type]
     return dynamics.model_of(boat, name, biased=True)
 
 

@@ -111,7 +111,7 @@ def test_tokens_are_dimensionless(simulated: tuple[list[Run], Path]) -> None:
     boat = run.particulars
     large = dataclasses.replace(
         boat, length=4 * boat.length, beam=4 * boat.beam, draft=4 * boat.draft,
-        speed=2 * boat.speed, shaft_speed=0.5 * boat.shaft_speed,
+        mass=64 * boat.mass, speed=2 * boat.speed, shaft_speed=0.5 * boat.shaft_speed,
     )  # fmt: skip
     factor = np.array([4, 4, 1, 2, 2, 0.5, *[0.5, 0.5, 1, 1] * 2, 1, 1, 1])
     window, known = FleetPredictor.windows(run.rows.astype(float), np.array([100, 300]))
