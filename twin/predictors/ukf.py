@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import (
-    aid,
     is_learning_suspended,
     is_ready,
     lacks_gps,
@@ -58,8 +57,9 @@ from twin.identification.physical_bounds import keep_physical
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
-from twin.particulars import STUDY_SPEED, Particulars
+from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.model_aid import aid_by_model
 from twin.predictors.without_gps import try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
@@ -78,12 +78,6 @@ __all__ = [
 ]
 
 Array = NDArray[Any]
-
-AID_SD = 0.5 / STUDY_SPEED
-"""Standard deviation of the model's velocity as an aid, in nominal speeds."""
-
-AID_TURN = 0.04
-"""Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
 OUTAGE_NOISE_FACTOR = 400.0
 """Factor of the velocity's measurement noise without GPS, as its errors last from row to row."""
@@ -105,9 +99,6 @@ speed; that of a smaller one lasts less."""
 
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
-
-AID_EVERY = 1.0
-"""The model aids a navigation filter that lacks fixes or IMU each so many seconds."""
 
 
 class UKFMemory(NamedTuple):
@@ -296,17 +287,10 @@ def tight_step(dt, z, cmd, memory, config, work):
         restart_state(dt, cmd, nav, state, given)
         return
     correct(dt, cmd, nav, state, given, model, scratch)
-    no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
+    no_gps = lacks_gps(nav)
     try_open_loop(dt, nav, state, given, model, scratch.terms)
     widen_without_gps(dt, nav, state, given, model)
-    nav.since_aid += dt
-    if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
-        nav.since_aid = 0.0
-        speed, turn = 0.25 * given.envelope[0], 0.25 * given.envelope[2]
-        aid(nav, nav_work, 3, x[U], (AID_SD * speed) ** 2)
-        aid(nav, nav_work, 4, x[V], (AID_SD * speed) ** 2)
-        if no_imu:
-            aid(nav, nav_work, 5, x[R], (AID_TURN * turn) ** 2)
+    aid_by_model(dt, nav, nav_work, x, given, model)
     if no_gps:
         place_by_navigation(nav, state)
 

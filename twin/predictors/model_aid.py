@@ -1,0 +1,50 @@
+"""Kernel by which a model aids a navigation filter that lacks fixes, IMU or any heading."""
+
+from __future__ import annotations
+
+import math
+
+from twin.channels import PSI, R, U, V
+from twin.filters.navigation_ekf import aid, lacks_gps, lacks_imu
+from twin.model.structure import N_STATES, current_of
+from twin.particulars import STUDY_SPEED
+from usv_kernel.jit import inlined
+
+__all__ = ["aid_by_model"]
+
+AID_EVERY = 1.0
+"""The model aids each so many seconds: its errors last, and count once."""
+
+AID_SD = 0.5 / STUDY_SPEED
+"""Standard deviation of the model's velocity as an aid, in nominal speeds."""
+
+AID_TURN = 0.04
+"""Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
+
+NO_HEADING, LEEWAY_SD = 1.0, 0.15
+"""Where neither compass nor gyro has given a sample for so long (s), the heading is that of the
+course through the water: sway is zero within this standard deviation, in nominal speeds."""
+
+
+@inlined
+def aid_by_model(dt, nav, work, x, given, model):
+    """Correct velocity, yaw rate and course of the navigation by what the model's state ``x`` says.
+
+    Without this, a boat that has neither compass nor gyro is taken to sail astern, or to spin.
+    """
+    no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
+    no_heading = min(nav.compass_age, nav.imu_age) > NO_HEADING
+    nav.since_aid += dt
+    if not (no_gps or no_imu or no_heading) or nav.since_aid < AID_EVERY:
+        return
+    nav.since_aid = 0.0
+    speed, turn = 0.25 * given.envelope[0], 0.25 * given.envelope[2]
+    if no_gps or no_imu:
+        aid(nav, work, 3, x[U], (AID_SD * speed) ** 2)
+        aid(nav, work, 4, x[V], (AID_SD * speed) ** 2)
+    if no_imu or no_heading:
+        aid(nav, work, 5, x[R], (AID_TURN * turn) ** 2)
+    if no_heading and not no_gps:
+        north, east = current_of(x, N_STATES, model.hull)
+        aside = east * math.cos(nav.n[PSI]) - north * math.sin(nav.n[PSI])
+        aid(nav, work, 4, aside, (LEEWAY_SD * speed) ** 2)
