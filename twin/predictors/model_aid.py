@@ -30,7 +30,7 @@ course through the water: sway is zero within this standard deviation, in nomina
 def aid_by_model(dt, nav, work, x, given, model):
     """Correct velocity, yaw rate and course of the navigation by what the model's state ``x`` says.
 
-    Without this, a boat that has neither compass nor gyro is taken to sail astern, or to spin.
+    Without this, a boat that never had a gyro and loses its compass is taken to sail astern.
     """
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     no_heading = min(nav.compass_age, nav.imu_age) > NO_HEADING
@@ -44,7 +44,7 @@ def aid_by_model(dt, nav, work, x, given, model):
         aid(nav, work, 4, x[V], (AID_SD * speed) ** 2)
     if no_imu or no_heading:
         aid(nav, work, 5, x[R], (AID_TURN * turn) ** 2)
-    if no_heading and not no_gps:
+    if no_heading and not (no_gps or no_imu):
         north, east = current_of(x, N_STATES, model.hull)
         aside = east * math.cos(nav.n[PSI]) - north * math.sin(nav.n[PSI])
         aid(nav, work, 4, aside, (LEEWAY_SD * speed) ** 2)
