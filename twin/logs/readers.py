@@ -565,7 +565,8 @@ class ParquetFile:
             what = "is not a Parquet file" if start else "the file is empty"
             raise LogError(f"{path}: {what}; write it again, or give a CSV file the ending .csv")
         with self._whole():
-            self.frame = pl.scan_parquet(path, glob=False)
+            # column by column: two threads that panic at once on a damaged file end the process
+            self.frame = pl.scan_parquet(path, glob=False, parallel="none")
             self.header = tuple(self.frame.collect_schema())
             self.rows = int(self.frame.select(pl.len()).collect().item())
 
