@@ -77,6 +77,7 @@ __all__ = [
     "is_learning_suspended",
     "is_ready",
     "lacks_gps",
+    "lacks_heading",
     "lacks_imu",
     "navigate",
 ]
@@ -238,6 +239,12 @@ def is_learning_suspended(nav):
 def lacks_imu(nav):
     """Return whether the IMU is lost; a boat that never had one has lost none."""
     return nav.has_imu > 0.0 and nav.imu_age > LOST_AFTER
+
+
+@inlined
+def lacks_heading(nav):
+    """Return whether neither compass nor gyro gives samples."""
+    return min(nav.compass_age, nav.imu_age) > LOST_AFTER
 
 
 @inlined
@@ -505,9 +512,9 @@ def navigate(nav, dt, z, model, settings, work):
         _take_fix(nav, z, dt, gps_repeats, settings, work)
     nav.since_lost += dt
     nav.unsettled = max(nav.unsettled - dt, 0.0)
-    fastest = TOO_FAST**2 * settings.velocity_var_0
     if nav.lost > 0.0:
         _forget_biases(nav, settings)
+        fastest = TOO_FAST**2 * settings.velocity_var_0
         if nav.since_lost < LOST_AGAIN and n[U] * n[U] + n[V] * n[V] > fastest:
             _forget_velocity(nav, settings)
             nav.unsettled = SETTLING

@@ -17,7 +17,7 @@ from twin.health.state import (
     STEPPED,
     VELOCITY_WRONG,
 )
-from usv_kernel.channels import COMPASS
+from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY
 from usv_kernel.jit import inlined
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "over_ground",
     "set_status",
     "typical_size",
+    "velocity_step",
 ]
 
 ALARM, CLEAR = 5.0, 3.0
@@ -159,6 +160,14 @@ def is_velocity_doubted(health):
     """Return whether the velocity of the GPS is not used, or has jumped."""
     gps = health.sensors[GPS]
     return gps.reason == VELOCITY_WRONG or (gps.status == EXCLUDED and gps.reason == STEPPED)
+
+
+@inlined
+def velocity_step(z, health):
+    """Return what the velocity gained more than the accelerometers say, north and east, m/s."""
+    step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
+    step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
+    return step_x, step_y
 
 
 @inlined

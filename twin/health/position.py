@@ -15,6 +15,7 @@ from twin.health.evidence import (
     over_ground,
     set_status,
     typical_size,
+    velocity_step,
 )
 from twin.health.state import (
     ACCELEROMETERS,
@@ -159,8 +160,7 @@ def _is_released(z, jump, health, given):
     """
     T = health.velocity_time
     sd = math.sqrt(2.0) * given.doppler_sd + (given.accel_bias_sd + given.tilt) * T
-    step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
-    step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
+    step_x, step_y = velocity_step(z, health)
     measured = health.sensors[ACCELEROMETERS].status == OK and health.accel_gap == 0.0
     speed = math.hypot(health.velocity[0], health.velocity[1])
     not_late = jump > LATE_MOST * speed or speed > FAST * health.velocity_level

@@ -17,6 +17,7 @@ from twin.health.evidence import (
     limited,
     set_status,
     typical_size,
+    velocity_step,
 )
 from twin.health.heading import is_late
 from twin.health.state import (
@@ -106,10 +107,8 @@ def _has_stepped(step_x, step_y, T, health, given):
     A fault of the accelerometers makes all further steps alike, and their readings jump with it.
     """
     mean_x, mean_y = health.accel_gain[0] / max(T, 1e-3), health.accel_gain[1] / max(T, 1e-3)
-    size, before = (
-        math.hypot(step_x, step_y),
-        math.hypot(health.velocity_step[0], health.velocity_step[1]),
-    )
+    size = math.hypot(step_x, step_y)
+    before = math.hypot(health.velocity_step[0], health.velocity_step[1])
     measured = T * math.hypot(mean_x - health.accel_mean[0], mean_y - health.accel_mean[1])
     health.velocity_step[0], health.velocity_step[1] = step_x, step_y
     health.accel_mean[0], health.accel_mean[1] = mean_x, mean_y
@@ -124,8 +123,7 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     """Add what the velocity gained more than the accelerometers say to the sum, and act on it."""
     accel, gps = health.sensors[ACCELEROMETERS], health.sensors[GPS]
     T = health.velocity_time
-    step_x = z[GPS_VX] - health.velocity[0] - health.accel_gain[0]
-    step_y = z[GPS_VY] - health.velocity[1] - health.accel_gain[1]
+    step_x, step_y = velocity_step(z, health)
     trusted = accel.status == OK and gps.status != EXCLUDED
     if _has_stepped(step_x, step_y, T, health, given) and trusted:
         exclude(health, GPS, STEPPED)

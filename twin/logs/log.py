@@ -41,7 +41,7 @@ from twin.logs.checks import (
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
-from twin.logs.diagnosis.findings import clashing_rows
+from twin.logs.diagnosis.findings import equal_times
 from twin.logs.errors import LogError
 from twin.logs.mapping import Layout, layout_of, lone_sides
 from twin.logs.readers import (
@@ -51,7 +51,6 @@ from twin.logs.readers import (
     Table,
     date_of,
     gathered,
-    merged,
     name_of,
     shorten,
     twice_said,
@@ -570,18 +569,16 @@ def assemble(table: Table) -> Log:
 
 def _merge_equal_times(table: Table) -> None:
     """Merge rows of equal time, unless their values differ."""
-    t = table.data[TIME]
-    step = np.diff(t, prepend=-np.inf)
-    if not (step == 0.0).any() or not (step >= 0.0).all() or clashing_rows(table.data):
+    found = equal_times(table.data)
+    if found is None or found.clashes:
         return
-    group = np.cumsum(step > 0.0) - 1
-    one = merged(group, table.data)
-    rows, line = np.append(np.flatnonzero(step > 0.0), len(t)), table.line
+    many, line = len(table.data[TIME]), table.line
+    rows = np.append(found.first, many)
     table.notes.append(
-        f"t_s: {len(t) - len(rows) + 1} of {len(t)} rows have the time of the row before and do "
+        f"t_s: {many - len(rows) + 1} of {many} rows have the time of the row before and do "
         "not contradict it, merged with it"
     )
-    table.data, table.line = one, lambda row: line(int(rows[row]))
+    table.data, table.line = found.data, lambda row: line(int(rows[row]))
 
 
 def _meant(given: str, absent: Sequence[str]) -> str | None:

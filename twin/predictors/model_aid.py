@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.channels import PSI, R, U, V
-from twin.filters.navigation_ekf import aid, lacks_gps, lacks_imu
+from twin.filters.navigation_ekf import aid, lacks_gps, lacks_heading, lacks_imu
 from twin.model.structure import N_STATES, current_of
 from twin.particulars import STUDY_SPEED
 from usv_kernel.jit import inlined
@@ -21,9 +21,9 @@ AID_SD = 0.5 / STUDY_SPEED
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
-NO_HEADING, LEEWAY_SD = 1.0, 0.15
-"""Where neither compass nor gyro has given a sample for so long (s), the heading is that of the
-course through the water: sway is zero within this standard deviation, in nominal speeds."""
+LEEWAY_SD = 0.15
+"""Where neither compass nor gyro gives samples, the heading is that of the course through the
+water: sway is zero within this standard deviation, in nominal speeds."""
 
 
 @inlined
@@ -32,8 +32,7 @@ def aid_by_model(dt, nav, work, x, given, model):
 
     Without this, a boat that never had a gyro and loses its compass is taken to sail astern.
     """
-    no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
-    no_heading = min(nav.compass_age, nav.imu_age) > NO_HEADING
+    no_gps, no_imu, no_heading = lacks_gps(nav), lacks_imu(nav), lacks_heading(nav)
     nav.since_aid += dt
     if not (no_gps or no_imu or no_heading) or nav.since_aid < AID_EVERY:
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ __all__ = [
     "Finding",
     "Recording",
     "clashing_rows",
+    "equal_times",
     "held",
     "repeated",
 ]
@@ -152,24 +154,37 @@ class Recording:
         return self.t[new], values[new]
 
 
-def clashing_rows(data: Mapping[str, Array]) -> int:
-    """Return how many rows contradict another one of the same time.
+class EqualTimes(NamedTuple):
+    """Rows of a log with one row for each time."""
+
+    first: npt.NDArray[np.intp]  # number of the first row of each time
+    data: dict[str, Array]  # columns with one row for each
+    clashes: int  # rows that contradict another one of the same time
+
+
+def equal_times(data: Mapping[str, Array]) -> EqualTimes | None:
+    """Return the rows of a log merged by time; None if all differ, or times go back.
 
     Parameters
     ----------
     data : mapping of str to ndarray, shape (N,)
-        Columns of a log, ``t_s`` among them; NaN contradicts nothing. Times that go back are not
-        looked at.
+        Columns of a log, ``t_s`` among them; NaN contradicts nothing.
     """
     step = np.diff(np.asarray(data[TIME], dtype=np.float64), prepend=-np.inf)
     if not (step == 0.0).any() or not (step >= 0.0).all():
-        return 0
+        return None
     group = np.cumsum(step > 0.0) - 1
     one = merged(group, data)
     other = np.zeros(len(step), dtype=np.bool_)
     for name, values in data.items():
         other |= ~((one[name][group] == values) | np.isnan(values))
-    return int(other.sum())
+    return EqualTimes(np.flatnonzero(step > 0.0), one, int(other.sum()))
+
+
+def clashing_rows(data: Mapping[str, Array]) -> int:
+    """Return how many rows contradict another one of the same time; see :func:`equal_times`."""
+    found = equal_times(data)
+    return 0 if found is None else found.clashes
 
 
 def held(values: Array) -> Array:
