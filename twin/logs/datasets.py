@@ -15,8 +15,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.logs.errors import LogError
+from twin.logs.files import CsvFile, ParquetFile
 from twin.logs.log import Log, recorded_runs, sibling_path
-from twin.logs.readers import CsvFile, ParquetFile
 from twin.particulars import Instruments, Particulars
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import write_whole

@@ -15,18 +15,9 @@ import numpy.typing as npt
 from twin.channels import COMMANDS, TIME
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
+from twin.logs.files import cannot_be_read, shorten
 from twin.logs.mapping import Layout
-from twin.logs.readers import (
-    MAX_ROWS,
-    Table,
-    cannot_be_read,
-    date_of,
-    name_of,
-    said,
-    shorten,
-    thinned,
-    too_long,
-)
+from twin.logs.readers import MAX_ROWS, Table, date_of, name_of, said, thinned, too_long
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [

@@ -37,6 +37,7 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
+from twin.logs import files
 from twin.logs import readers as table
 from twin.logs.errors import LogError
 from twin.logs.log import Log, sibling_path
@@ -414,6 +415,17 @@ def test_damaged_file_gives_a_log_or_a_message(
     damage()
 
 
+def test_parquet_with_a_length_beyond_memory_is_a_message(tmp_path: Path) -> None:
+    """A page header that asks for an exabyte: some readers end the process over it."""
+    path = tmp_path / "a.parquet"
+    run(60).write(path)
+    data = path.read_bytes()
+    for place in range(4, len(data) - 5, 97):
+        # a number of five bytes, as Thrift packs it: the largest there is
+        path.write_bytes(data[:place] + b"\xfe\xff\xff\xff\x0f" + data[place + 5 :])
+        log_or_message(path, None)
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_broken_columns_give_a_log_or_a_message(tmp_path: Path, data: st.DataObject) -> None:
@@ -501,15 +513,15 @@ def test_block_size_changes_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     place = refused(bad)
     thin = written(tmp_path / "m.toml", "[rows]\nstep_s = 0.7\n")
     thinned = Log.read(tmp_path / "a.csv", thin)
-    monkeypatch.setattr(table, "_BLOCK_BYTES", 700)
-    monkeypatch.setattr(table, "_BLOCK_ROWS", 30)
+    monkeypatch.setattr(files, "_BLOCK_BYTES", 700)
+    monkeypatch.setattr(files, "_BLOCK_ROWS", 30)
     for name, once in zip(("a.csv", "a.csv.gz", "a.parquet"), whole, strict=True):
         again = Log.read(tmp_path / name)
         np.testing.assert_array_equal(again.z, once.z)
         assert again.notes == once.notes
     assert refused(bad) == place
     np.testing.assert_array_equal(Log.read(tmp_path / "a.csv", thin).z, thinned.z)
-    monkeypatch.setattr(table, "_BLOCK_BYTES", 64)
+    monkeypatch.setattr(files, "_BLOCK_BYTES", 64)
     assert "a line is longer than 1 MB; this is no CSV file" in refused(tmp_path / "a.csv")
 
 
@@ -519,8 +531,8 @@ def test_log_of_too_many_rows_is_refused(
 ) -> None:
     run().write(path := tmp_path / name)
     monkeypatch.setattr(table, "MAX_ROWS", 100)
-    monkeypatch.setattr(table, "_BLOCK_BYTES", 4000)
-    monkeypatch.setattr(table, "_BLOCK_ROWS", 30)
+    monkeypatch.setattr(files, "_BLOCK_BYTES", 4000)
+    monkeypatch.setattr(files, "_BLOCK_ROWS", 30)
     message = refused(path)
     assert "has more than 100 rows, the most that a log may have. Read a piece" in message
     for rows, count in (("start_s = 12.0", 80), ("stop_s = 9.95", 100), ("step_s = 0.5", 40)):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from twin.benchmark.figures.data import reference_of
 from twin.channels import PSI, R, U, V
 from twin.logs import datasets
+from twin.logs.files import CsvFile
 from twin.logs.log import Log
-from twin.logs.readers import CsvFile
 from twin.predictors.baselines import hold_velocity
 from usv_kernel.channels import GYRO
 

@@ -33,8 +33,8 @@ from twin.digital_twin import TwinError, known_plan
 from twin.logs.bag_writer import BAG_SUFFIX, Forecast, write_bag
 from twin.logs.dates import Clock
 from twin.logs.errors import LogError
+from twin.logs.files import CsvFile
 from twin.logs.log import Log
-from twin.logs.readers import CsvFile
 from twin.motion import CHANNELS, QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT

@@ -21,7 +21,8 @@ import numpy as np
 from twin.logs.autopilot.flight import APART, Flight, Samples
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
-from twin.logs.readers import MAX_ROWS, cannot_be_read, too_long
+from twin.logs.files import cannot_be_read
+from twin.logs.readers import MAX_ROWS, too_long
 
 __all__ = ["read_telemetry", "telemetry_parameters"]
 

@@ -35,6 +35,9 @@ __all__ = [
 _JUMP, _FAST = 50.0, 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
 
+_FAR = 1e9
+"""No boat goes farther than this between two fixes, m, whatever the unit."""
+
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
 
@@ -209,7 +212,8 @@ def velocity_on_fixes(
     summed = integrated(t, velocity)
     edges = np.append(middle - 0.5 * step, middle[-1] + 0.5 * step)
     by_velocity = np.diff(averaged(t, summed, edges, 0.5 * step), axis=0)
-    ok = np.isfinite(way).all(axis=1) & np.isfinite(by_velocity).all(axis=1)
+    # false for NaN too
+    ok = (np.abs(way) < _FAR).all(axis=1) & (np.abs(by_velocity) < _FAR).all(axis=1)
     if ok.sum() < 8:
         return None
     a, b = way[ok] @ (1.0, 1j), by_velocity[ok] @ (1.0, 1j)

@@ -14,9 +14,9 @@ from twin.logs.diagnosis.findings import Recording
 from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
 from twin.logs.diagnosis.signs import turned_by
 from twin.logs.diagnosis.track import compass_on_track
+from twin.logs.files import EMPTY, is_number
 from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
 from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, entry, known, pick
-from twin.logs.readers import EMPTY, is_number
 
 __all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
 

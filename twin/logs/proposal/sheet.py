@@ -15,8 +15,7 @@ import numpy as np
 from twin.logs.columns import Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
-from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
-from twin.logs.readers import (
+from twin.logs.files import (
     EMPTY,
     CsvFile,
     ParquetFile,
@@ -25,6 +24,7 @@ from twin.logs.readers import (
     units_line,
     with_points,
 )
+from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -67,7 +67,8 @@ def read_columns(path: Path) -> Columns:
 
     twice: dict[str, str] = {}
     if path.suffix == ".parquet":
-        frame = pl.scan_parquet(ParquetFile(path).path, glob=False).head(_ROWS).collect()
+        packed = ParquetFile(path)
+        frame = next(packed.frames(packed.header, _ROWS))
         frame = frame.with_columns(pl.all().cast(pl.String))
     else:
         file = CsvFile(path)
