@@ -22,7 +22,7 @@ from twin.cli.common import (
     note_capsizing,
     write_text,
 )
-from twin.logs.log import sibling_path
+from twin.logs.log import LOG_SUFFIXES, sibling_path
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
@@ -63,8 +63,8 @@ def simulate_command(
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
     from twin.benchmark.figures import picture_of_log
 
-    if out is not None and not out.suffix:
-        raise OptionError(f"--out {out}: name a file: {out}.csv, .csv.gz, .parquet or .mcap")
+    if out is not None and not out.name.endswith(LOG_SUFFIXES):
+        raise OptionError(f"--out {out}: a log's name ends in {', '.join(LOG_SUFFIXES)}")
     boat = Vessel.load(vessel)
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
     suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, fault_start)

@@ -107,7 +107,7 @@ EVIDENCE_ALARM, LAGS = 12.5, (2.0, 6.0, 14.0)
 """Evidence above which a change of thrust or current has come, and over how many seconds before
 the last segment it is sought."""
 
-UNTRIED = "the prior, as the run is too short for a refit"
+UNTRIED = "the prior, as there is too little usable data for a refit"
 """What is in use before the first refit."""
 
 _NAMES = {

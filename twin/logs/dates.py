@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 __all__ = [
+    "MEANINGS",
     "ORDERS",
     "ZONES",
     "Clock",
@@ -40,6 +41,13 @@ ZONES = {
     **{"AEST": "+10:00", "AEDT": "+11:00", "NZST": "+12:00", "NZDT": "+13:00", "HST": "-10:00"},
 }
 """Names of zones that mean one thing; others, such as EST, CST and IST, are those of several."""
+
+MEANINGS = {
+    **{"AST": ("-04:00", "+03:00"), "BST": ("+01:00", "+06:00"), "CDT": ("-05:00", "-04:00")},
+    **{"CST": ("-06:00", "+08:00"), "EST": ("-05:00", "+10:00"), "IST": ("+05:30", "+01:00")},
+    **{"MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
+}
+"""What names of several zones mean most often."""
 
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"

@@ -50,9 +50,13 @@ from twin.logs.rosbag import is_bag, read_bag
 from usv_kernel.files import replacing
 
 __all__ = [
+    "LOG_SUFFIXES",
     "Log",
     "recorded_runs",
 ]
+
+LOG_SUFFIXES = (".csv", ".csv.gz", ".parquet", BAG_SUFFIX)
+"""What the name of a log that is written ends in."""
 
 _KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *TRUE_MOTION, *SINGLE, *OTHER_UNITS, *DATUM)
 

@@ -459,12 +459,13 @@ class _Position:
     def __call__(self, values: Sequence[Array]) -> list[Array]:
         values = self._degrees(values)
         beyond = np.abs(values[0]) > 90.0
-        if beyond.mean() > 0.5 and not (np.abs(values[1]) > 90.0).any():
+        most = 2 * int(beyond.sum()) > len(beyond)
+        if most and not (np.abs(values[1]) > 90.0).any():
             raise LogError(
                 f"{self.source}: [position]: latitudes of up to {np.nanmax(np.abs(values[0])):.4g} "
                 "degrees: latitude and longitude are swapped; exchange the two columns"
             )
-        if beyond.mean() > 0.5:
+        if most:
             raise LogError(f"{self.source}: [position]: {_beyond(values)}")
         latitude, longitude = _fixes(values)
         plane = self._plane(latitude, longitude)

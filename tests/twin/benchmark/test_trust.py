@@ -109,7 +109,9 @@ def test_the_boats_own_prior_in_use_may_be_green(ran: TrustMeter) -> None:
 
 def test_a_twin_before_its_first_refit_says_so(boat: Particulars, log: Log) -> None:
     answer = verdict_of(boat, log.slice(0.0, 5.0), "dsw-ukf-plus").answers[3]
-    assert answer.colour == AMBER and "too short for a refit; no refit yet" in answer.text
+    assert (
+        answer.colour == AMBER and "too little usable data for a refit; no refit yet" in answer.text
+    )
 
 
 def test_the_candidate_in_use_is_named(good: Verdict) -> None:

@@ -189,7 +189,7 @@ def test_reset_forgets(structure):
 def test_the_candidate_in_use_has_a_name(structure):
     selector = TrustSelector(segments(structure, structure.mean))
     assert selector.uses_prior and selector.best_refit() is None
-    assert selector.name == "the prior, as the run is too short for a refit"
+    assert selector.name == "the prior, as there is too little usable data for a refit"
     selector.state.count[TURN] = 1.0
     names = []
     for candidate in range(CANDIDATES):

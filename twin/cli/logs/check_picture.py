@@ -155,11 +155,21 @@ def _heading(ax: Axes, recording: Recording) -> None:
 
 def _lags(ax: Axes, found: Diagnosis) -> None:
     lags = found.measured.lags
-    text = "; ".join(f"{name} {lag.seconds:+.2f} s" for name, lag in lags.items())
-    set_title(ax, f"correlation at each lag: {text}" if lags else "no gyro, no accelerometers")
+    if not lags:
+        ax.set_axis_off()
+        return
+    set_title(ax, "correlation at each lag")
     for (name, lag), style in zip(lags.items(), ((GREEN, "-"), (BLUE, DASHED)), strict=False):
-        ax.plot(lag.lags, lag.curve, color=style[0], ls=style[1], lw=1.4, label=name)
+        ax.plot(
+            lag.lags,
+            lag.curve,
+            color=style[0],
+            ls=style[1],
+            lw=1.4,
+            label=f"{name} {lag.seconds:+.2f} s",
+        )
         ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
+    ax.legend(fontsize=8, frameon=False)
     set_ticks(ax, 5, 4, "lag, s")
 
 

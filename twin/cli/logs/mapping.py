@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from twin.cli.common import OptionError, console, note, write_text
-from twin.logs.dates import ORDERS
+from twin.logs.dates import MEANINGS, ORDERS
 from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
 from twin.logs.proposal.propose import Proposal, propose
@@ -50,7 +50,9 @@ def mapping_new_command(
         dates = _ask(found, "first?", "--dates", tuple(ORDERS))
         found = propose(log, dates, zone)
     if found.zone:
-        zone = _ask(found, "of UTC?", "--zone", ("-05:00", "+09:30"), ZONE)
+        zone = _ask(
+            found, "of UTC?", "--zone", MEANINGS.get(found.zone, ("-05:00", "+09:30")), ZONE
+        )
         found = propose(log, dates, zone)
     write_text(path, found.text(log.name))
     Layout.load(path)  # what is written can be read

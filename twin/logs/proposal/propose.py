@@ -77,9 +77,17 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
     _plain(columns, found)
     find_commands(columns, found, own.values)
     find_pulses(columns, found)
-    if columns.left:
-        found.questions.append(f"left out: {', '.join(columns.left)}")
+    text = [name for name in columns.left if name not in columns.numbers]
+    plain = [name for name in columns.left if name in columns.numbers]
+    for names, why in ((plain, ""), (text, " (empty, or no numbers)")):
+        if names:
+            found.questions.append(f"left out{why}: {', '.join(map(_shown, names))}")
     return found
+
+
+def _shown(name: str) -> str:
+    """Return a column's name, in quotes where it is empty."""
+    return name.strip() or repr(name)
 
 
 def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array | None:
