@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from twin.health.drive_filters import SURGE
 from twin.health.evidence import set_status
 from twin.health.state import (
     CURRENT_CHANGES,
@@ -32,6 +33,13 @@ EVERY, FIRST = 5.0, 30.0
 SURE = 2.0
 """Standard deviations by which it must be so."""
 
+WAVES = 0.05
+"""Surge by waves, in nominal speeds, that equals the velocity noise of the filters.
+
+Filters take waves for white noise. So a few steep ones in a row change the current by more than
+its standard deviation says.
+"""
+
 SHOWN = 60.0
 """How long a change is shown, s."""
 
@@ -45,6 +53,7 @@ def check_current(health, given):
     health.current_due = max(health.clock + EVERY, FIRST)
     if not math.isfinite(sd) or health.clock < FIRST:
         return
+    sd *= math.hypot(1.0, health.wave_level[SURGE] / WAVES)
     past = health.current_past
     for look in range(CURRENT_LOOKS):
         by = math.hypot(north - past[look, 0], east - past[look, 1])

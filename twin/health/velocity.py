@@ -9,6 +9,7 @@ from twin.health.evidence import (
     ALARM,
     CALM,
     CLEAR,
+    GIVE_IN,
     exclude,
     is_fault,
     is_frozen,
@@ -28,6 +29,7 @@ from twin.health.state import (
     EXCLUDED,
     GPS,
     GYRO_SENSOR,
+    JUMPED,
     LATE,
     NO_REASON,
     OK,
@@ -91,11 +93,16 @@ def _learn_accel_bias(step_x, step_y, T, s, health, given):
 
 @inlined
 def _find_fault(size, T, health, given):
-    """Name the GPS if its velocity is late, else the accelerometers."""
+    """Name the GPS if its velocity is late, or if it came back lately; else the accelerometers."""
     accel = health.sensors[ACCELEROMETERS]
     if is_fault(size, health.velocity_level, T, accel):
+        gps = health.sensors[GPS]
+        # the sensor that was at fault last is the more likely one
+        returned = gps.in_use > 0.0 and health.clock - gps.since < GIVE_IN
         if is_late(health, given):
             exclude(health, GPS, LATE)
+        elif returned and gps.since > accel.since:
+            exclude(health, GPS, AT_ODDS)
         else:
             set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)
 
@@ -145,8 +152,10 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     health.velocity_sum[1] *= factor
     if gps.status != EXCLUDED and accel.status != EXCLUDED:
         _find_fault(size, T, health, given)
-    elif gps.status == EXCLUDED and size > CLEAR * level:
-        gps.followed = 0.0  # the velocity of a GPS that is late follows its fixes too
+    elif gps.status == EXCLUDED and accel.status == OK:
+        if size > CLEAR * level:
+            # the velocity of a GPS that is late follows its fixes too
+            gps.followed = gps.calm = 0.0
     elif accel.status == EXCLUDED:
         consistent = size < CLEAR * level and not is_frozen(accel)
         accel.calm = accel.calm + T if consistent else 0.0
@@ -158,7 +167,8 @@ def _hold_against_accelerometers(dt, z, s, health, given):
 def _is_reference_lost(health):
     """Return whether heading or velocity are in doubt: the accelerometers cannot be checked."""
     gps = health.sensors[GPS]
-    lost = gps.status == EXCLUDED and gps.reason != RELEASED
+    jumped = gps.reason == RELEASED or gps.reason == JUMPED
+    lost = gps.status == EXCLUDED and not (jumped or gps.reason == LATE or gps.reason == AT_ODDS)
     lost = lost or is_velocity_doubted(health)
     for sensor in (COMPASS_SENSOR, GYRO_SENSOR):
         lost = lost or health.sensors[sensor].status >= DOUBTFUL

@@ -247,6 +247,22 @@ def test_late_gps_is_not_taken_back_while_it_is_late(sailed, start):
     assert found.last["gps"] == "excluded", found.findings
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seconds", [1.5, 2.0])
+def test_gps_that_is_a_little_late_never_names_the_accelerometers(seed, seconds):
+    """It may come back near dead reckoning; its velocity then contradicts the accelerometers."""
+
+    def change(rows: Rows) -> None:
+        n, late = len(rows.z), round(seconds / rows.dt)
+        first = len(rows.before) - n - late
+        rows.z[:, GPS_X:COMPASS] = rows.before[first : first + n, GPS_X:COMPASS]
+
+    late, boat, sea = fault(change, 30.0), Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5)
+    log = simulate_with(late, 90.0, "zigzag", boat, sea, duration=125.0, seed=seed)
+    found = watch(Twin(particulars_of(boat), "ukf"), inject(log, late, 90.0, seed), 0)
+    assert found.named == {"gps"}, found.findings
+
+
 @few
 @given(st.sampled_from(("zigzag", "random")), st.floats(4.0, 8.0))
 def test_gps_that_falls_behind_is_late(manoeuvre, seconds):

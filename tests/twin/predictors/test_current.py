@@ -1,5 +1,6 @@
 """The current: found where the boat turns, and held while GPS is lost."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -129,9 +130,13 @@ def test_current_that_no_turn_has_shown_is_within_what_is_claimed():
     assert np.mean(inside) >= 0.75
 
 
-def looks(currents):
-    """Return status and reason of a GPS while a model says these currents, one each 5 s."""
+def looks(currents, waves=0.0):
+    """Return status and reason of a GPS while a model says these currents, one each 5 s.
+
+    ``waves`` is the surge that they make, in nominal speeds.
+    """
     monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
+    monitor.record["wave_level"] = waves
     z, cmd, state = np.full(19, math.nan), np.zeros(4), np.zeros(6)
     found = []
     for k, current in enumerate(currents):
@@ -155,6 +160,25 @@ def test_current_that_changes_fast_makes_the_gps_doubtful_for_a_minute():
     assert {each.status for each in found[:21]} == {"ok"}  # within the standard deviations
     assert found[21].status == "doubtful" and "faster than is plausible" in found[21].why
     assert found[-1].status == "ok"
+
+
+@pytest.mark.parametrize("change", [0.45, 0.6, 0.9])
+def test_higher_waves_need_a_larger_change_of_the_current(change):
+    currents = [(0.1, 0.0, 0.05)] * 20 + [(0.1, change, 0.05)] * 3
+    named = [looks(currents, waves)[-1].status == "doubtful" for waves in np.linspace(0, 0.3, 31)]
+    assert named[0] and not named[-1]
+    assert named == sorted(named, reverse=True)
+
+
+@pytest.mark.parametrize(("manoeuvre", "seed"), [("turn", 36), ("zigzag", 33), ("turn", 37)])
+def test_steep_waves_are_no_gps_that_is_drawn_away(manoeuvre, seed):
+    """A few steep waves in a row move the current of the filter."""
+    rng, vessel = np.random.default_rng(seed), Vessel.load("usv75")
+    water = {"current": float(rng.uniform(0, 0.3)), "current_to": float(rng.uniform(-3, 3))}
+    sea = dataclasses.replace(SeaState.named("4"), **water)
+    twin = Twin(particulars_of(vessel), "ukf")
+    twin.run(simulate(manoeuvre, vessel=vessel, sea=sea, duration=150.0, seed=seed))
+    assert twin.notes == ()
 
 
 def test_doubtful_current_is_noted_and_saved(log, tmp_path):
