@@ -131,7 +131,7 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         )
     if count < rows:
         table.notes.append(
-            f"{given}: {rows - count} of {rows} cells empty ({_longest_gap(t, valid)})"
+            f"{given}: no value in {rows - count} of {rows} rows ({_longest_gap(t, valid)})"
         )
     if name in ("compass_rad", "wind_from_rad", "apparent_wind_rad"):
         _check_angle(values, name, table)

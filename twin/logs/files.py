@@ -42,7 +42,7 @@ _BLOCK_BYTES = 1 << 20
 _BLANK_MAX = 1000
 """Most blank lines before the header."""
 
-_REMARKS, _REMARK_LINES = ("#", "%", "//"), 100
+_REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
 """What lines of comments begin with, and the most of them that are looked at."""
 
 _BLOCK_ROWS = 1 << 19
@@ -308,7 +308,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
             f"{path}: {where} like comments above the header; remove them, so that the file "
             "begins with the names of the columns"
         )
-    if all(is_number(name) for name in header):
+    if 2 * sum(is_number(name) for name in header) > len(header):
         raise LogError(
             f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
             f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"

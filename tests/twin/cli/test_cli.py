@@ -239,7 +239,7 @@ def test_gaps_and_empty_cells_are_reported(tmp_path):
     path = tmp_path / "gappy.csv"
     path.write_text(HEADER + "\n".join(rows) + "\n")
     out = run("identify", path, "--ship", "usv75").stdout
-    assert "gps_x_m: 1 of 30 cells empty" in out
+    assert "gps_x_m: no value in 1 of 30 rows" in out
     assert "gap" in out
 
 

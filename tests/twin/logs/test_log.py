@@ -75,7 +75,7 @@ def test_round_trip_keeps_the_bits(tmp_path: Path, name: str, truth: bool) -> No
     back = Log.read(tmp_path / name)
     assert same_bits(log, back)
     assert back.name == "a"
-    assert "gps_x_m: 14 of 40 cells empty" in " ".join(back.notes)
+    assert "gps_x_m: no value in 14 of 40 rows" in " ".join(back.notes)
     assert "wind_mps: all 40 cells empty, taken as never measured" in back.notes
 
 
@@ -396,8 +396,8 @@ def test_empty_measurements_are_missing_data(tmp_path: Path) -> None:
     log = Log.read(save(tmp_path / "a.csv", table))
     assert np.isnan(log.z[900:1000, 0]).all() and np.isnan(log.z[:, 0]).sum() == 110
     assert log.notes == (
-        "gps_x_m: 110 of 2000 cells empty (longest gap 10.0 s at t = 90.0 s)",
-        "wind_mps: 10 of 2000 cells empty (longest gap 1.0 s at t = 199.0 s)",
+        "gps_x_m: no value in 110 of 2000 rows (longest gap 10.0 s at t = 90.0 s)",
+        "wind_mps: no value in 10 of 2000 rows (longest gap 1.0 s at t = 199.0 s)",
     )
 
 

@@ -31,6 +31,8 @@ ZIPPED = gzip.compress(HEADER + b"\n" + ROW + b"\n" + ROW.replace(b"0", b"2", 1)
         ("a.csv", HEADER + b"\n\n", "no row of data after the header"),
         ("a.csv", HEADER + b"\n" + ROW, "1 row of data after the header; a log needs two"),
         ("a.csv", ROW + b"\n" + ROW, "line 1 holds numbers; put a header of column names"),
+        ("a.csv", b"2024-05-03T09:30:00Z,38.8,3.2,90\n" * 9, "line 1 holds numbers; put a header"),
+        ("a.csv", b"sep=,\n" + HEADER + b"\n" + ROW, "line 1 looks like comments above the header"),
         ("a.csv", HEADER.replace(b",", b";"), "no row of data after the header (line 1); record"),
         ("a.csv", HEADER + b"\r" + ROW, "the lines end in CR only; save the file with LF"),
         ("a.csv", HEADER + b"\n" + ROW + b"\n" + ROW + b",7,8", "line 3 has 10 cells but the he"),

@@ -284,7 +284,7 @@ def test_a_bag_reads_back_as_the_log_it_was_made_from(
         np.testing.assert_allclose(z[key][5::5], log.z[5::5, COLUMN[key]], rtol=1e-6, atol=1e-7)
     assert "/imu/data: time of receipt" in back.notes
     assert "t_s: counted from 2025-07-24 15:45:00 UTC" in back.notes
-    assert "gps_x_m: 161 of 200 cells empty" in " ".join(back.notes)
+    assert "gps_x_m: no value in 161 of 200 rows" in " ".join(back.notes)
     mapping.rename(sibling_path(path, ".mapping.toml"))
     assert np.array_equal(Log.read(path).z, back.z, equal_nan=True)
 
