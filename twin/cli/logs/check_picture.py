@@ -46,7 +46,9 @@ def draw_check(found: Diagnosis) -> bytes:
         (line(GREEN), "gyro; steering angle"),
     ]
     about = ", ".join(
-        f"{len(found.of(kind))} {kind}(s)" for kind in ("error", "warning") if found.of(kind)
+        f"{len(found.of(kind))} {kind}(s)"
+        for kind in ("error", "warning", "note")
+        if found.of(kind)
     )
     mosaic = [["track", "samples"], ["track", "speed"], ["lags", "turn"], ["commands", "heading"]]
     fig, axes = new_figure(
@@ -169,7 +171,8 @@ def _lags(ax: Axes, found: Diagnosis) -> None:
             label=f"{name} {lag.seconds:+.2f} s",
         )
         ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
-    ax.legend(fontsize=8, frameon=False)
+    ax.set_ylim(-1.6, 1.1)  # room for the legend
+    ax.legend(fontsize=8, frameon=False, loc="lower center", ncols=2)
     set_ticks(ax, 5, 4, "lag, s")
 
 
