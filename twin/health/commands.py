@@ -299,10 +299,9 @@ def _remember_commands(cmd, health):
 
 
 @inlined
-def _end_step(cmd, at_rest, s, step, health, given):
+def _end_step(cmd, s, step, health, given):
     """Hold the step that ends against what each hypothesis says of it, and learn from it."""
     T = health.step_time
-    health.at_rest = 1.0 if at_rest else 0.0
     for k in range(DRIVE):
         health.mean_drive[k] = health.drive_sum[k] / T
         health.drive_sum[k] = 0.0
@@ -377,40 +376,57 @@ def _is_motion_known(dt, health):
     return health.known_time > KNOWN_TIME
 
 
-@kernel
-def check_commands(dt, cmd, s, ready, health, given):
-    """Hold commands against yaw rate and surge; note their status."""
-    n0 = max(given.shaft_speed, 1e-6)
-    left, right = cmd[0] / n0, cmd[1] / n0
-    if not _are_possible(dt, left, right, cmd, health) or not ready:
-        return
+@inlined
+def _add_drive(dt, left, right, cmd, health, given):
+    """Add what the commands of a row made to the step: the drive follows them with a lag."""
     a, b = left * abs(left), right * abs(right)
-    share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))
     targets = (
         0.5 * a * math.cos(cmd[2]),
         0.5 * b * math.cos(cmd[3]),
         0.5 * a * math.sin(cmd[2]),
         0.5 * b * math.sin(cmd[3]),
     )
+    lag = max(given.lag, LAG_MIN)
+    share = 1.0 - math.exp(-dt / lag)
     for k in range(DRIVE):
-        health.drive[k] += share * (targets[k] - health.drive[k])
-    if not _is_motion_known(dt, health):
+        missing = targets[k] - health.drive[k]
+        health.drive_sum[k] += targets[k] * dt - missing * lag * share
+        health.drive[k] += share * missing
+    health.step_time += dt
+    health.at_rest = 1.0 if abs(left) + abs(right) < AT_REST else 0.0
+
+
+@inlined
+def _begin_step(s, health, given):
+    """Begin the first step, or the first after a gap, with the motion of now."""
+    health.step_time = 0.0
+    for k in range(DRIVE):
+        health.drive_sum[k] = 0.0
+    health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
+    health.sway = s[V] / given.speed
+    restart_motion(health)
+
+
+@kernel
+def check_commands(dt, cmd, s, ready, health, given):
+    """Hold commands against yaw rate and surge; note their status.
+
+    The state is that of the row before, and a row's command was in force since then: a step ends
+    before the row's command counts.
+    """
+    n0 = max(given.shaft_speed, 1e-6)
+    left, right = cmd[0] / n0, cmd[1] / n0
+    if not _are_possible(dt, left, right, cmd, health) or not ready:
+        return
+    known = _is_motion_known(dt, health)
+    step = max(STEP * given.time_scale, STEP_MIN)
+    if known and health.step_time < 0.0:
+        _begin_step(s, health, given)
+    elif known and health.step_time >= step:
+        _end_step(cmd, s, step, health, given)
+    _add_drive(dt, left, right, cmd, health, given)
+    if not known:
         health.step_time = -1.0
         if health.known_time == 0.0:
             for k in range(HYPOTHESES):
                 health.evidence[k] = health.distinct[k] = 0.0
-        return
-    if health.step_time < 0.0:
-        health.step_time = 0.0
-        for k in range(DRIVE):
-            health.drive_sum[k] = 0.0
-        health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
-        health.sway = s[V] / given.speed
-        restart_motion(health)
-    for k in range(DRIVE):
-        health.drive_sum[k] += health.drive[k] * dt
-    health.step_time += dt
-    step = max(STEP * given.time_scale, STEP_MIN)
-    if health.step_time >= step:
-        at_rest = abs(left) + abs(right) < AT_REST
-        _end_step(cmd, at_rest, s, step, health, given)
