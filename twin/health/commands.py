@@ -378,7 +378,11 @@ def _is_motion_known(dt, health):
 
 @inlined
 def _add_drive(dt, left, right, cmd, health, given):
-    """Add what the commands of a row made to the step: the drive follows them with a lag."""
+    """Add what the commands of a row made to the step: the drive follows them with a lag.
+
+    The commands between two rows are taken to be the mean of theirs. Those of the later row may
+    have been given at its end, in answer to the motion that they would else explain.
+    """
     a, b = left * abs(left), right * abs(right)
     targets = (
         0.5 * a * math.cos(cmd[2]),
@@ -389,9 +393,11 @@ def _add_drive(dt, left, right, cmd, health, given):
     lag = max(given.lag, LAG_MIN)
     share = 1.0 - math.exp(-dt / lag)
     for k in range(DRIVE):
-        missing = targets[k] - health.drive[k]
-        health.drive_sum[k] += targets[k] * dt - missing * lag * share
+        target = 0.5 * (targets[k] + health.targets[k])
+        missing = target - health.drive[k]
+        health.drive_sum[k] += target * dt - missing * lag * share
         health.drive[k] += share * missing
+        health.targets[k] = targets[k]
     health.step_time += dt
     health.at_rest = 1.0 if abs(left) + abs(right) < AT_REST else 0.0
 
