@@ -80,6 +80,10 @@ SUSPECT, LEVEL_SUSPECT = 1.0, 45.0
 """Evidence above which a step is not one before anything was at odds, and above which the level of
 the waves is not learned: the fault would become the level."""
 
+IDLE = 0.1
+"""Nominal thrust, speed and yaw rate below which a boat lies idle: it then teaches nothing, and
+waves that are not there would become their level."""
+
 RECENT = 3.0
 """Steps over which the mismatch is averaged."""
 
@@ -201,14 +205,23 @@ def _strongest(health):
 
 
 @inlined
-def _step_filters(length, health):
+def _is_idle(health):
+    """Return whether in this step neither the commands made anything nor the boat moved."""
+    drive = 0.0
+    for k in range(DRIVE):
+        drive += abs(health.mean_drive[k])
+    return drive < IDLE and abs(health.motion[YAW]) < IDLE and abs(health.motion[SURGE]) < IDLE
+
+
+@inlined
+def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
     # what is wrong with the commands must not become the model; what lasts is a boat that changed
     at_odds = health.mismatch > AT_ODDS_ABOVE
     health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
     held = at_odds and health.at_odds_steps <= HELD_STEPS
-    learn = health.sensors[COMMAND].status != EXCLUDED and not held
+    learn = health.sensors[COMMAND].status != EXCLUDED and not held and not idle
     suspected = not learn or health.evidence[_strongest(health)] > LEVEL_SUSPECT
     for k in range(HYPOTHESES):
         if k != force and health.evidence[k] <= 0.0:
@@ -322,8 +335,9 @@ def _end_step(cmd, s, step, health, given):
         health.steps = 1.0
         return
     write_effects(health)
-    _step_filters(length, health)
-    health.steps += 1.0
+    idle = _is_idle(health)
+    _step_filters(length, idle, health)
+    health.steps += 0.0 if idle else 1.0
     wrong = _is_sign_wrong(T, health)
     if warm:
         _add_evidence(health, given)
