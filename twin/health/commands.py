@@ -73,8 +73,9 @@ DISTINCT, DISTINCT_FADE = 0.5, 0.7
 """A step in which two hypotheses make the drives differ by less (in nominal thrusts) counts less.
 Their difference fades so in a step: the motion that it made remains."""
 
-DECIDED = 16.0
-"""Evidence above which a hypothesis comes into force."""
+DECIDED, DECIDED_STOP = 16.0, 8.0
+"""Evidence above which a hypothesis comes into force; and above which a boat does not stop at a
+command to. That is asked at a stop only, the others in every step."""
 
 SUSPECT, LEVEL_SUSPECT = 1.0, 45.0
 """Evidence above which a step is not one before anything was at odds, and above which the level of
@@ -218,7 +219,9 @@ def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
     # what is wrong with the commands must not become the model; what lasts is a boat that changed
-    at_odds = health.mismatch > AT_ODDS_ABOVE
+    # a stop at which the boat does not stop would teach that its thrust does nothing
+    stop_doubted = health.at_rest > 0.0 and health.evidence[HELD] > SUSPECT
+    at_odds = health.mismatch > AT_ODDS_ABOVE or stop_doubted
     health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
     held = at_odds and health.at_odds_steps <= HELD_STEPS
     learn = health.sensors[COMMAND].status != EXCLUDED and not held and not idle
@@ -268,7 +271,7 @@ def _conclude(wrong, health):
     """Set the status by what explains the motion."""
     check, force = health.sensors[COMMAND], int(health.hypothesis)
     best = _strongest(health)
-    if health.evidence[best] > DECIDED:
+    if health.evidence[best] > (DECIDED_STOP if best == HELD else DECIDED):
         _put_in_force(best, health)
     elif check.status == EXCLUDED:
         agreed = force == HELD and health.at_rest == 0.0 and health.mismatch < AGREED
