@@ -73,12 +73,17 @@ DISTINCT, DISTINCT_FADE = 0.5, 0.7
 """A step in which two hypotheses make the drives differ by less (in nominal thrusts) counts less.
 Their difference fades so in a step: the motion that it made remains."""
 
-DECIDED = 16.0
-"""Evidence above which a hypothesis comes into force."""
+DECIDED, DECIDED_STOP = 16.0, 8.0
+"""Evidence above which a hypothesis comes into force; and above which a boat does not stop at a
+command to. That is asked at a stop only, the others in every step."""
 
 SUSPECT, LEVEL_SUSPECT = 1.0, 45.0
 """Evidence above which a step is not one before anything was at odds, and above which the level of
 the waves is not learned: the fault would become the level."""
+
+IDLE = 0.1
+"""Nominal thrust, speed and yaw rate below which a boat lies idle: it then teaches nothing, and
+waves that are not there would become their level."""
 
 RECENT = 3.0
 """Steps over which the mismatch is averaged."""
@@ -201,14 +206,25 @@ def _strongest(health):
 
 
 @inlined
-def _step_filters(length, health):
+def _is_idle(health):
+    """Return whether in this step neither the commands made anything nor the boat moved."""
+    drive = 0.0
+    for k in range(DRIVE):
+        drive += abs(health.mean_drive[k])
+    return drive < IDLE and abs(health.motion[YAW]) < IDLE and abs(health.motion[SURGE]) < IDLE
+
+
+@inlined
+def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
     # what is wrong with the commands must not become the model; what lasts is a boat that changed
-    at_odds = health.mismatch > AT_ODDS_ABOVE
+    # a stop at which the boat does not stop would teach that its thrust does nothing
+    stop_doubted = health.at_rest > 0.0 and health.evidence[HELD] > SUSPECT
+    at_odds = health.mismatch > AT_ODDS_ABOVE or stop_doubted
     health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
     held = at_odds and health.at_odds_steps <= HELD_STEPS
-    learn = health.sensors[COMMAND].status != EXCLUDED and not held
+    learn = health.sensors[COMMAND].status != EXCLUDED and not held and not idle
     suspected = not learn or health.evidence[_strongest(health)] > LEVEL_SUSPECT
     for k in range(HYPOTHESES):
         if k != force and health.evidence[k] <= 0.0:
@@ -255,7 +271,7 @@ def _conclude(wrong, health):
     """Set the status by what explains the motion."""
     check, force = health.sensors[COMMAND], int(health.hypothesis)
     best = _strongest(health)
-    if health.evidence[best] > DECIDED:
+    if health.evidence[best] > (DECIDED_STOP if best == HELD else DECIDED):
         _put_in_force(best, health)
     elif check.status == EXCLUDED:
         agreed = force == HELD and health.at_rest == 0.0 and health.mismatch < AGREED
@@ -299,10 +315,9 @@ def _remember_commands(cmd, health):
 
 
 @inlined
-def _end_step(cmd, at_rest, s, step, health, given):
+def _end_step(cmd, s, step, health, given):
     """Hold the step that ends against what each hypothesis says of it, and learn from it."""
     T = health.step_time
-    health.at_rest = 1.0 if at_rest else 0.0
     for k in range(DRIVE):
         health.mean_drive[k] = health.drive_sum[k] / T
         health.drive_sum[k] = 0.0
@@ -323,8 +338,9 @@ def _end_step(cmd, at_rest, s, step, health, given):
         health.steps = 1.0
         return
     write_effects(health)
-    _step_filters(length, health)
-    health.steps += 1.0
+    idle = _is_idle(health)
+    _step_filters(length, idle, health)
+    health.steps += 0.0 if idle else 1.0
     wrong = _is_sign_wrong(T, health)
     if warm:
         _add_evidence(health, given)
@@ -377,40 +393,63 @@ def _is_motion_known(dt, health):
     return health.known_time > KNOWN_TIME
 
 
-@kernel
-def check_commands(dt, cmd, s, ready, health, given):
-    """Hold commands against yaw rate and surge; note their status."""
-    n0 = max(given.shaft_speed, 1e-6)
-    left, right = cmd[0] / n0, cmd[1] / n0
-    if not _are_possible(dt, left, right, cmd, health) or not ready:
-        return
+@inlined
+def _add_drive(dt, left, right, cmd, health, given):
+    """Add what the commands of a row made to the step: the drive follows them with a lag.
+
+    The commands between two rows are taken to be the mean of theirs. Those of the later row may
+    have been given at its end, in answer to the motion that they would else explain.
+    """
     a, b = left * abs(left), right * abs(right)
-    share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))
     targets = (
         0.5 * a * math.cos(cmd[2]),
         0.5 * b * math.cos(cmd[3]),
         0.5 * a * math.sin(cmd[2]),
         0.5 * b * math.sin(cmd[3]),
     )
+    lag = max(given.lag, LAG_MIN)
+    share = 1.0 - math.exp(-dt / lag)
     for k in range(DRIVE):
-        health.drive[k] += share * (targets[k] - health.drive[k])
-    if not _is_motion_known(dt, health):
+        target = 0.5 * (targets[k] + health.targets[k])
+        missing = target - health.drive[k]
+        health.drive_sum[k] += target * dt - missing * lag * share
+        health.drive[k] += share * missing
+        health.targets[k] = targets[k]
+    health.step_time += dt
+    health.at_rest = 1.0 if abs(left) + abs(right) < AT_REST else 0.0
+
+
+@inlined
+def _begin_step(s, health, given):
+    """Begin the first step, or the first after a gap, with the motion of now."""
+    health.step_time = 0.0
+    for k in range(DRIVE):
+        health.drive_sum[k] = 0.0
+    health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
+    health.sway = s[V] / given.speed
+    restart_motion(health)
+
+
+@kernel
+def check_commands(dt, cmd, s, ready, health, given):
+    """Hold commands against yaw rate and surge; note their status.
+
+    The state is that of the row before, and a row's command was in force since then: a step ends
+    before the row's command counts.
+    """
+    n0 = max(given.shaft_speed, 1e-6)
+    left, right = cmd[0] / n0, cmd[1] / n0
+    if not _are_possible(dt, left, right, cmd, health) or not ready:
+        return
+    known = _is_motion_known(dt, health)
+    step = max(STEP * given.time_scale, STEP_MIN)
+    if known and health.step_time < 0.0:
+        _begin_step(s, health, given)
+    elif known and health.step_time >= step:
+        _end_step(cmd, s, step, health, given)
+    _add_drive(dt, left, right, cmd, health, given)
+    if not known:
         health.step_time = -1.0
         if health.known_time == 0.0:
             for k in range(HYPOTHESES):
                 health.evidence[k] = health.distinct[k] = 0.0
-        return
-    if health.step_time < 0.0:
-        health.step_time = 0.0
-        for k in range(DRIVE):
-            health.drive_sum[k] = 0.0
-        health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
-        health.sway = s[V] / given.speed
-        restart_motion(health)
-    for k in range(DRIVE):
-        health.drive_sum[k] += health.drive[k] * dt
-    health.step_time += dt
-    step = max(STEP * given.time_scale, STEP_MIN)
-    if health.step_time >= step:
-        at_rest = abs(left) + abs(right) < AT_REST
-        _end_step(cmd, at_rest, s, step, health, given)

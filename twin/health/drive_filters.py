@@ -97,7 +97,11 @@ WALK = 0.013
 MODEL_SHARE = 0.53
 """Standard deviation of what the model leaves out in a step, in levels of the waves."""
 
-UNKNOWN_THRUST, UNKNOWN_STEERING = 0.3, 0.2
+BRAKE, BRAKE_SD = 0.2, 0.3
+"""Thrust astern of propellers at rest at nominal speed, and the standard deviation of it and of the
+drag at speeds at which the boat was not driven, in nominal thrusts."""
+
+UNKNOWN_THRUST, UNKNOWN_STEERING = 0.3, 0.4
 """Standard deviations of thrust and steering about those of before, in nominal thrusts, where
 shafts are said to be at rest and are not."""
 
@@ -252,12 +256,19 @@ def step_filter(axis, k, motion, length, learn, health):
         change += f[i] * x[1 + i]
     decay = 1.0 + x[1] + 2.0 * x[2] * abs(r if axis == YAW else u)
     decay = min(max(decay, 0.0), DECAY_MAX)
+    stopped = health.at_rest > 0.0 and k != HELD
+    if stopped and axis == SURGE:
+        change -= BRAKE * x[THRUST] * u * abs(u)
     x[0] += change
     level = health.wave_level[axis]
     variance = decay * decay * P[0, 0] + (MODEL_SHARE * level) ** 2
+    if stopped and axis == SURGE:
+        variance += (BRAKE_SD * x[THRUST] * abs(u)) ** 2
     if k == HELD and health.at_rest > 0.0:
-        unknown = UNKNOWN_STEERING if axis == YAW else UNKNOWN_THRUST
-        variance += (unknown * x[THRUST]) ** 2
+        if axis == YAW:
+            variance += UNKNOWN_STEERING**2 * (x[MOMENT] ** 2 + x[DIFFERENCE] ** 2)
+        else:
+            variance += (UNKNOWN_THRUST * x[THRUST]) ** 2
     for j in range(1, FILTER_STATES):
         gain[j] = 0.0
         for i in range(COMMAND_TERMS):

@@ -52,6 +52,7 @@ _LATER = (
     "velocity_repeated",
     "velocity_longest",
     "sensors.in_use",
+    "targets",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""

@@ -219,6 +219,7 @@ HEALTH = np.dtype(
         ("current_doubted", "f8"),  # time until which a change makes the GPS doubtful, s
         # commands against the motion: a filter of yaw rate and surge for each hypothesis
         ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
+        ("targets", "f8", DRIVE),  # the same before the lags, of the row before
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
         ("drive_before", "f8", DRIVE),  # the same of the step before

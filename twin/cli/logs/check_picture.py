@@ -171,7 +171,7 @@ def _lags(ax: Axes, found: Diagnosis) -> None:
             label=f"{name} {lag.seconds:+.2f} s",
         )
         ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
-    ax.set_ylim(-1.6, 1.1)  # room for the legend
+    ax.set_ylim(-1.6, 1.1)  # the legend is below the curves
     ax.legend(fontsize=8, frameon=False, loc="lower center", ncols=2)
     set_ticks(ax, 5, 4, "lag, s")
 
