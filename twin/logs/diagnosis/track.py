@@ -47,6 +47,10 @@ _STRAIGHT = 0.995
 SURE, _LIKELY = 4.0, 1.0
 """Log-odds from which a mirrored track is sure, and from which it is likely."""
 
+_FAR_BETTER = 0.7
+"""A boat that always goes ahead leaves this share of the mean square, or less: commands that say
+astern are wrong."""
+
 _NEVER_LESS = 0.05**2
 """A mean square that is left counts as no less: waves and leeway bend any track by .05 rad."""
 
@@ -212,8 +216,15 @@ def _odds(
     drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
     if abs(drifting.angle) < 0.5 * math.pi:
         odds = max(odds, _log_odds(drifting, mirrored))
-    steady = _along(velocity, sign * speed * np.exp(1j * psi)).angle
-    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady
+    driven, *onward = (_along(velocity, each * speed * np.exp(1j * psi)) for each in ways_on)
+    # commands that contradict a track along the heading do not tell where a boat goes astern
+    agree = [
+        each
+        for each in onward
+        if each.square < _FAR_BETTER * driven.square and abs(each.angle) < _OFFSET_STRAIGHT
+    ]
+    steady = min([driven, *agree])
+    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady.angle
 
 
 def _log_odds(first: _Along, second: _Along) -> float:
@@ -283,6 +294,8 @@ def check_track(
 
 def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> list[Finding]:
     """Return a finding where the track goes off to one side of the compass, or astern."""
+    if _is_ahead(plain, fit):
+        fit = plain  # course and heading agree by themselves, and the commands are wrong
     off = fit.left < _EXPLAINED and abs(fit.steady) > _OFFSET_STRAIGHT
     if fit.along < _MIRROR and not off:
         return []
@@ -318,6 +331,13 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
     )
     severity = WARNING if far or (seen and not few) else NOTE
     return [Finding(severity, "compass-offset", what, remedy, fit._asdict())]
+
+
+def _is_ahead(plain: TrackFit, fit: TrackFit) -> bool:
+    """Return whether a boat goes ahead throughout, although commands say astern at times."""
+    agree = plain.along >= _MIRROR and abs(plain.offset) < _ASTERN
+    # commands that are reversed throughout also say astern, all the time
+    return agree and fit.along < _MIRROR and fit.along < plain.along
 
 
 def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> Finding:
