@@ -18,7 +18,7 @@ from twin.logs.diagnosis.attitude import (
     upright,
 )
 from twin.logs.diagnosis.commands import check_commands
-from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
 from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
@@ -68,6 +68,17 @@ _CAUSES = (
 
 _NO_SIGN = {"commands-missing", "shaft-pwm"}
 """Faults of commands that leave nothing to tell their signs by."""
+
+_TURNS_AXES = {
+    "compass-degrees",
+    "compass-reversed",
+    "compass-sign",
+    "track-mirrored",
+}
+"""Faults of the heading that turn the axes of sound accelerometers."""
+
+_SAME = math.radians(30.0)
+"""Angles of track and accelerometers that differ by less have one cause, rad."""
 
 _OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
 """Findings that a wrong unit of time feigns."""
@@ -253,7 +264,8 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     -------
     Diagnosis
     """
-    found = _cells(recording) + check_timing(recording)
+    timing = check_timing(recording)
+    found = _cells(recording, timing) + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
     position = check_position(recording, gps_sd)
     kept = clean = without_jumps(recording)
@@ -268,16 +280,17 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         side, mended = check_each_side(clean)
         headed = dataclasses.replace(level, cmd=mended.cmd)
         heading = check_heading(headed, turned_by(mended))
-        found += position + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
         if any("gain" in finding.evidence for finding in tilt):
             moved = []  # faults of axes explain what they show
         elif level is clean and is_three_axis(clean):
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
-        found += moved
+        told, moved = _by_compass(heading, moved)
+        found += position + _of_own_cause(told, tilt) + tilt + moved
         commands = check_commands(clean, particulars)
-        if not any(finding.code in _NO_SIGN for finding in commands):
+        few = len(clean.t) < ENOUGH
+        if not few and not any(finding.code in _NO_SIGN for finding in commands):
             signs = check_signs(mended, heading)
             unchecked = any(finding.code == "commands-unchecked" for finding in signs)
             commands += signs if unchecked else side + signs
@@ -325,9 +338,52 @@ def _without_spin(forces: list[Finding], heading: list[Finding]) -> list[Finding
     return [finding for finding in forces if finding.code != "spin"]
 
 
-def _cells(recording: Recording) -> list[Finding]:
-    """Return findings about too few rows, sensors without a sample and infinite cells."""
+def _by_compass(heading: list[Finding], moved: list[Finding]) -> tuple[list[Finding], list[Finding]]:
+    """Return findings of heading and accelerometers without axes that a wrong compass feigns.
+
+    Accelerations are turned by the compass before they are held against the fixes. Where they show
+    the same angle as the track, two sensors speak against the compass.
+    """
+    left, sure = [], False
+    for finding in moved:
+        turned = finding.evidence.get("turned", 0.0)
+        follows = finding.code in TILTED and any(
+            fault.severity != NOTE
+            and (
+                fault.code in _TURNS_AXES
+                or (fault.code == "compass-offset" and _same(fault.evidence["steady"], turned))
+            )
+            for fault in heading
+        )
+        sure |= follows and finding.code == "accel-axes"
+        left += [] if follows else [finding]
+    if sure:
+        heading = [
+            dataclasses.replace(
+                fault,
+                severity=ERROR,
+                what=fault.what + "; the accelerometers show the same angle",
+            )
+            if fault.code == "compass-offset"
+            else fault
+            for fault in heading
+        ]
+    return heading, left
+
+
+def _same(first: float, second: float) -> bool:
+    """Return whether two angles are about the same, rad."""
+    return math.cos(first - second) > math.cos(_SAME)
+
+
+def _cells(recording: Recording, timing: list[Finding]) -> list[Finding]:
+    """Return findings about too few rows, sensors without a sample and infinite cells.
+
+    Rows that are few for what ``timing`` says already are no second finding.
+    """
     if len(recording.t) < ENOUGH:
+        if any(finding.severity == ERROR for finding in timing) and len(recording.stamps) >= ENOUGH:
+            return []  # there are rows enough, but not in the order of their times
         what = f"{len(recording.t)} rows with a time of their own"
         return [Finding(ERROR, "too-short", what, "record for longer: some minutes, with turns")]
     found = []
