@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.logs.columns import Array
+from twin.logs.columns import UNITS, Array
 from twin.logs.diagnosis.attitude import (
     check_attitude,
     is_three_axis,
@@ -79,6 +79,18 @@ _TURNS_AXES = {
 
 _SAME = math.radians(30.0)
 """Angles of track and accelerometers that differ by less have one cause, rad."""
+
+_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0)
+"""Programs write these numbers, of either sign, where there is no value."""
+
+_FACTORS = sorted({factor for units in UNITS.values() for factor in units.values()})
+"""By which a column may have been multiplied when it was read."""
+
+_AGAIN, _DIGITS = 3, 1e-9
+"""A mark stands so many times or more; it is the same within this share."""
+
+_SINGLY = tuple((name,) for name in MEASUREMENTS if name not in ("gps_vx_mps", "gps_vy_mps"))
+"""Columns that are looked at by themselves; those of a velocity may come from speed and course."""
 
 _OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
 """Findings that a wrong unit of time feigns."""
@@ -264,8 +276,9 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     -------
     Diagnosis
     """
+    recording, marks = _without_marks(recording)
     timing = check_timing(recording)
-    found = _cells(recording, timing) + timing
+    found = _cells(recording, timing) + marks + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
     position = check_position(recording, gps_sd)
     kept = clean = without_jumps(recording)
@@ -287,6 +300,9 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
         told, moved = _by_compass(heading, moved)
+        if any(finding.code == "track-mirrored" for finding in heading):
+            # fixes that turn against the compass turn against the velocity as well
+            position = [finding for finding in position if finding.code != "velocity-mirrored"]
         found += position + _of_own_cause(told, tilt) + tilt + moved
         commands = check_commands(clean, particulars)
         few = len(clean.t) < ENOUGH
@@ -374,6 +390,49 @@ def _by_compass(heading: list[Finding], moved: list[Finding]) -> tuple[list[Find
 def _same(first: float, second: float) -> bool:
     """Return whether two angles are about the same, rad."""
     return math.cos(first - second) > math.cos(_SAME)
+
+
+def _without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Return a recording without numbers that stand for "no value", and a finding about each."""
+    z, found = recording.z.copy(), []
+    speed = np.hypot(recording.z[:, 2], recording.z[:, 3])
+    for names, values in [
+        *((each, recording.z[:, MEASUREMENTS.index(each[0])]) for each in _SINGLY),
+        (("gps_vx_mps", "gps_vy_mps"), speed),
+    ]:
+        seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
+        often = np.flatnonzero(count >= _AGAIN)
+        # times a factor, the last digits may differ
+        mark = next((m for i in often if (m := _mark_of(float(seen[i]), seen, count))), None)
+        if mark is None:
+            continue
+        rows = np.abs(values - mark[0]) < _DIGITS * abs(mark[0])
+        z[np.ix_(rows, [MEASUREMENTS.index(name) for name in names])] = np.nan
+        what = (
+            f"{recording.called(*names)}: {rows.sum()} of {np.isfinite(values).sum()} values are "
+            f'{mark[1]:g}, far from all others: a mark for "no value"'
+        )
+        remedy = "leave these cells empty; here they are left out, and the rest is checked"
+        evidence = {"mark": mark[1], "rows": float(rows.sum())}
+        found.append(Finding(ERROR, f"no-value-{names[0]}", what, remedy, evidence))
+    return (dataclasses.replace(recording, z=z), found) if found else (recording, [])
+
+
+def _mark_of(value: float, seen: Array, count: Array) -> tuple[float, float] | None:
+    """Return a value and the mark that it is in the unit of the file, if it is one."""
+    same = np.abs(seen - value) < _DIGITS * abs(value)
+    others = np.repeat(seen[~same], count[~same])
+    if len(others) < ENOUGH:
+        return None
+    # a mark of its own in another column may have spoilt a few of the others
+    low, high = np.quantile(others, [0.01, 0.99])
+    if max(low - value, value - high) < high - low:
+        return None
+    for factor in _FACTORS:
+        for mark in _MARKS:
+            if abs(abs(value) - mark * factor) < _DIGITS * abs(value):
+                return value, math.copysign(mark, value)
+    return None
 
 
 def _cells(recording: Recording, timing: list[Finding]) -> list[Finding]:
