@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import UNITS, Array
@@ -354,7 +355,9 @@ def _without_spin(forces: list[Finding], heading: list[Finding]) -> list[Finding
     return [finding for finding in forces if finding.code != "spin"]
 
 
-def _by_compass(heading: list[Finding], moved: list[Finding]) -> tuple[list[Finding], list[Finding]]:
+def _by_compass(
+    heading: list[Finding], moved: list[Finding]
+) -> tuple[list[Finding], list[Finding]]:
     """Return findings of heading and accelerometers without axes that a wrong compass feigns.
 
     Accelerations are turned by the compass before they are held against the fixes. Where they show
@@ -407,10 +410,12 @@ def _without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
         if mark is None:
             continue
         rows = np.abs(values - mark[0]) < _DIGITS * abs(mark[0])
-        z[np.ix_(rows, [MEASUREMENTS.index(name) for name in names])] = np.nan
+        for name in names:
+            z[rows, MEASUREMENTS.index(name)] = np.nan
+        sign = "plus or minus " if len(names) > 1 else ""  # a speed along a course has lost it
         what = (
             f"{recording.called(*names)}: {rows.sum()} of {np.isfinite(values).sum()} values are "
-            f'{mark[1]:g}, far from all others: a mark for "no value"'
+            f'{sign}{mark[1]:g}, far from all others: a mark for "no value"'
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"
         evidence = {"mark": mark[1], "rows": float(rows.sum())}
@@ -418,7 +423,7 @@ def _without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     return (dataclasses.replace(recording, z=z), found) if found else (recording, [])
 
 
-def _mark_of(value: float, seen: Array, count: Array) -> tuple[float, float] | None:
+def _mark_of(value: float, seen: Array, count: npt.NDArray[np.intp]) -> tuple[float, float] | None:
     """Return a value and the mark that it is in the unit of the file, if it is one."""
     same = np.abs(seen - value) < _DIGITS * abs(value)
     others = np.repeat(seen[~same], count[~same])

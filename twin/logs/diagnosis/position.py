@@ -336,7 +336,7 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
                 stamps._asdict(),
             )
         )
-    found += _stands(names, t, fix) or _steps(names, t, fix) or _spikes(names, t, fix)
+    found += _stands(names, t, fix) or _spikes_or_steps(names, t, fix)
     fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
 
@@ -374,6 +374,14 @@ def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
             {"most_m": length, "at_s": at, "times": float(len(wild))},
         )
     ]
+
+
+def _spikes_or_steps(names: str, t: Array, fix: Array) -> list[Finding]:
+    """Return the finding that explains more fixes: spikes, or steps aside."""
+    spikes, steps = _spikes(names, t, fix), _steps(names, t, fix)
+    if not spikes or not steps:
+        return spikes or steps
+    return spikes if spikes[0].evidence["fixes"] > steps[0].evidence["times"] else steps
 
 
 def _spikes(names: str, t: Array, fix: Array) -> list[Finding]:
@@ -417,8 +425,10 @@ def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
     typical = float(np.quantile(speed, 0.75))
     found = []
     for k in np.flatnonzero(step > max(_CAUGHT_UP, 8.0 * float(np.median(step))))[:_PIECES]:
-        radius = max(_STILL, _STILL_SHARE * step[k])
-        place = np.median(fix[max(k - 8, 0) : k + 1], axis=0)
+        last = fix[max(k - 8, 0) : k + 1]
+        place = np.median(last, axis=0)
+        scatter = 4.5 * float(np.median(np.hypot(*(last - place).T)))
+        radius = max(_STILL, _STILL_SHARE * step[k], min(scatter, 5.0 * _STILL_SHARE * step[k]))
         apart = np.flatnonzero(np.hypot(*(fix[: k + 1] - place).T) > radius)
         start = int(apart[-1]) + 1 if len(apart) else 0
         length = float(t[k] - t[start])
