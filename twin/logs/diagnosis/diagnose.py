@@ -300,11 +300,11 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         elif level is clean and is_three_axis(clean):
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
-        told, moved = _by_compass(heading, moved)
+        heading_left, moved = _by_compass(heading, moved)
         if any(finding.code == "track-mirrored" for finding in heading):
             # fixes that turn against the compass turn against the velocity as well
             position = [finding for finding in position if finding.code != "velocity-mirrored"]
-        found += position + _of_own_cause(told, tilt) + tilt + moved
+        found += position + _of_own_cause(heading_left, tilt) + tilt + moved
         commands = check_commands(clean, particulars)
         few = len(clean.t) < ENOUGH
         if not few and not any(finding.code in _NO_SIGN for finding in commands):

@@ -50,7 +50,7 @@ _STEP, _STEP_NOISE = 0.1, 15.0
 _SINGLE = 0.01
 """More than this share of the fixes are no single jumps: stamps jitter, or the boat is quick."""
 
-_BESIDE, _SPIKE, _SPIKES = 11, 2.0, 4
+_WINDOW, _SPIKE, _SPIKES = 11, 2.0, 4
 """A spike is a fix that lies farther than this from the middle of so many, m; fewer are seen as
 steps."""
 
@@ -386,10 +386,10 @@ def _spikes_or_steps(names: str, t: Array, fix: Array) -> list[Finding]:
 
 def _spikes(names: str, t: Array, fix: Array) -> list[Finding]:
     """Return a finding where fixes jump aside and come back, again and again."""
-    half = _BESIDE // 2
+    half = _WINDOW // 2
     if len(t) < 3 * ENOUGH:
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(fix, _BESIDE, axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(fix, _WINDOW, axis=0)
     # along a track the middle of its neighbours is their median, however they are spaced
     far = np.hypot(*(fix[half:-half] - np.median(windows, axis=-1)).T)
     at = t[half:-half]
@@ -417,10 +417,10 @@ def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
     if len(t) < 3 * ENOUGH:
         return []
     step = np.hypot(*np.diff(fix, axis=0).T)
-    way, _, width = ways(t, fix)
+    way, middle, width = ways(t, fix)
     speed = np.hypot(*way.T) / width
     speed = speed[np.isfinite(speed)]
-    if not len(speed):
+    if not len(middle) or not len(speed):
         return []
     typical = float(np.quantile(speed, 0.75))
     found = []
