@@ -35,6 +35,9 @@ _NO_LEEWAY = math.radians(45.0)
 _MIRROR = 0.7
 """A mean resultant length above this is one direction."""
 
+_ONE_WAY = 0.9
+"""Above this a boat goes one way all the time, ahead or at one angle."""
+
 _CURRENT, _DRIFT = 0.5, 1.0
 """A current is about this share of the speed, or less; and of the speed of one that drifts."""
 
@@ -46,10 +49,6 @@ _STRAIGHT = 0.995
 
 SURE, _LIKELY = 4.0, 1.0
 """Log-odds from which a mirrored track is sure, and from which it is likely."""
-
-_FAR_BETTER = 0.7
-"""A boat that always goes ahead leaves this share of the mean square, or less: commands that say
-astern are wrong."""
 
 _NEVER_LESS = 0.05**2
 """A mean square that is left counts as no less: waves and leeway bend any track by .05 rad."""
@@ -216,14 +215,7 @@ def _odds(
     drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
     if abs(drifting.angle) < 0.5 * math.pi:
         odds = max(odds, _log_odds(drifting, mirrored))
-    driven, *onward = (_along(velocity, each * speed * np.exp(1j * psi)) for each in ways_on)
-    # commands that contradict a track along the heading do not tell where a boat goes astern
-    agree = [
-        each
-        for each in onward
-        if each.square < _FAR_BETTER * driven.square and abs(each.angle) < _OFFSET_STRAIGHT
-    ]
-    steady = min([driven, *agree])
+    steady = _along(velocity, sign * speed * np.exp(1j * psi))
     return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady.angle
 
 
@@ -335,7 +327,7 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
 
 def _is_ahead(plain: TrackFit, fit: TrackFit) -> bool:
     """Return whether a boat goes ahead throughout, although commands say astern at times."""
-    agree = plain.along >= _MIRROR and abs(plain.offset) < _ASTERN
+    agree = plain.along >= _ONE_WAY and abs(plain.offset) < _ASTERN
     # commands that are reversed throughout also say astern, all the time
     return agree and fit.along < _MIRROR and fit.along < plain.along
 
