@@ -32,6 +32,9 @@ _SCALES = {1.0: "shares of full throttle", 100.0: "per cent"}
 
 _UNITS = {60.0: "rpm", 2.0 * math.pi: "rad/s"}
 
+_SAILS = 20.0
+"""A boat that goes farther than this sails, m."""
+
 _MOST_ANGLE = 1.3
 """Few rudders and drives turn farther than this, rad."""
 
@@ -121,19 +124,41 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
         remedy = "make neutral 0: scale = 0.02, offset = -30.0 in a mapping file for 1500 us"
         evidence = {"least": float(seen.min()), "most": float(seen.max())}
         return [Finding(ERROR, "shaft-pwm", what, remedy, evidence)]
-    return found
+    return found + _zero_throughout(recording, motion)
 
 
 def _no_commands(name: str, motion: tuple[Array, Array, Array] | None) -> list[Finding]:
     """Return a finding where a boat goes without a command."""
-    if motion is None:
-        return []
-    way = np.nansum(np.hypot(*motion[1].T)) * float(np.median(np.diff(motion[0])))
-    if way < 20.0:
+    if _way(motion) < _SAILS:
         return []
     what = f"{name}: all commands are 0, but the boat goes"
     remedy = "record the commands; without them a twin cannot learn"
     return [Finding(ERROR, "commands-missing", what, remedy)]
+
+
+def _way(motion: tuple[Array, Array, Array] | None) -> float:
+    """Return how far the boat goes, m; 0 where that is unknown."""
+    if motion is None:
+        return 0.0
+    return float(np.nansum(np.hypot(*motion[1].T)) * np.median(np.diff(motion[0])))
+
+
+def _zero_throughout(
+    recording: Recording, motion: tuple[Array, Array, Array] | None
+) -> list[Finding]:
+    """Return a finding where one of two shafts is never commanded while the boat sails."""
+    names = ("n_left_rps", "n_right_rps")
+    still = [not np.nan_to_num(recording.cmd[:, j]).any() for j in (0, 1)]
+    if still[0] == still[1] or _way(motion) < _SAILS:
+        return []
+    side = 0 if still[0] else 1
+    what = (
+        f"{recording.called(names[side])} is 0 in all rows while the boat sails "
+        f"{_way(motion):.0f} m and {recording.called(names[1 - side])} is used"
+    )
+    remedy = "record this command too; a boat that has one shaft only has one column, n_rps"
+    code = f"{('left', 'right')[side]}-unit-dead"
+    return [Finding(WARNING, code, what, remedy, {"way_m": _way(motion)})]
 
 
 def _by_particulars(name: str, seen: Array, particulars: Particulars | None) -> list[Finding]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.logs.columns import Array
+from twin.logs.columns import UNITS, Array
 from twin.logs.diagnosis.attitude import (
     check_attitude,
     is_three_axis,
@@ -18,7 +19,7 @@ from twin.logs.diagnosis.attitude import (
     upright,
 )
 from twin.logs.diagnosis.commands import check_commands
-from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
 from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
@@ -68,6 +69,29 @@ _CAUSES = (
 
 _NO_SIGN = {"commands-missing", "shaft-pwm"}
 """Faults of commands that leave nothing to tell their signs by."""
+
+_TURNS_AXES = {
+    "compass-degrees",
+    "compass-reversed",
+    "compass-sign",
+    "track-mirrored",
+}
+"""Faults of the heading that turn the axes of sound accelerometers."""
+
+_SAME = math.radians(30.0)
+"""Angles of track and accelerometers that differ by less have one cause, rad."""
+
+_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0)
+"""Programs write these numbers, of either sign, where there is no value."""
+
+_FACTORS = sorted({factor for units in UNITS.values() for factor in units.values()})
+"""By which a column may have been multiplied when it was read."""
+
+_AGAIN, _DIGITS = 3, 1e-9
+"""A mark stands so many times or more; it is the same within this share."""
+
+_SINGLY = tuple((name,) for name in MEASUREMENTS if name not in ("gps_vx_mps", "gps_vy_mps"))
+"""Columns that are looked at by themselves; those of a velocity may come from speed and course."""
 
 _OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
 """Findings that a wrong unit of time feigns."""
@@ -253,7 +277,9 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     -------
     Diagnosis
     """
-    found = _cells(recording) + check_timing(recording)
+    recording, marks = _without_marks(recording)
+    timing = check_timing(recording)
+    found = _cells(recording, timing) + marks + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
     position = check_position(recording, gps_sd)
     kept = clean = without_jumps(recording)
@@ -268,16 +294,20 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         side, mended = check_each_side(clean)
         headed = dataclasses.replace(level, cmd=mended.cmd)
         heading = check_heading(headed, turned_by(mended))
-        found += position + _of_own_cause(heading, tilt) + tilt
         moved = check_imu(measured.imu, level, particulars)
         if any("gain" in finding.evidence for finding in tilt):
             moved = []  # faults of axes explain what they show
         elif level is clean and is_three_axis(clean):
             # the accelerometers of a boat that rolls also show its tilt
             moved = [finding for finding in moved if finding.code not in TILTED]
-        found += moved
+        heading_left, moved = _by_compass(heading, moved)
+        if any(finding.code == "track-mirrored" for finding in heading):
+            # fixes that turn against the compass turn against the velocity as well
+            position = [finding for finding in position if finding.code != "velocity-mirrored"]
+        found += position + _of_own_cause(heading_left, tilt) + tilt + moved
         commands = check_commands(clean, particulars)
-        if not any(finding.code in _NO_SIGN for finding in commands):
+        few = len(clean.t) < ENOUGH
+        if not few and not any(finding.code in _NO_SIGN for finding in commands):
             signs = check_signs(mended, heading)
             unchecked = any(finding.code == "commands-unchecked" for finding in signs)
             commands += signs if unchecked else side + signs
@@ -325,9 +355,99 @@ def _without_spin(forces: list[Finding], heading: list[Finding]) -> list[Finding
     return [finding for finding in forces if finding.code != "spin"]
 
 
-def _cells(recording: Recording) -> list[Finding]:
-    """Return findings about too few rows, sensors without a sample and infinite cells."""
+def _by_compass(
+    heading: list[Finding], moved: list[Finding]
+) -> tuple[list[Finding], list[Finding]]:
+    """Return findings of heading and accelerometers without axes that a wrong compass feigns.
+
+    Accelerations are turned by the compass before they are held against the fixes. Where they show
+    the same angle as the track, two sensors speak against the compass.
+    """
+    left, sure = [], False
+    for finding in moved:
+        turned = finding.evidence.get("turned", 0.0)
+        follows = finding.code in TILTED and any(
+            fault.severity != NOTE
+            and (
+                fault.code in _TURNS_AXES
+                or (fault.code == "compass-offset" and _same(fault.evidence["steady"], turned))
+            )
+            for fault in heading
+        )
+        sure |= follows and finding.code == "accel-axes"
+        left += [] if follows else [finding]
+    if sure:
+        heading = [
+            dataclasses.replace(
+                fault,
+                severity=ERROR,
+                what=fault.what + "; the accelerometers show the same angle",
+            )
+            if fault.code == "compass-offset"
+            else fault
+            for fault in heading
+        ]
+    return heading, left
+
+
+def _same(first: float, second: float) -> bool:
+    """Return whether two angles are about the same, rad."""
+    return math.cos(first - second) > math.cos(_SAME)
+
+
+def _without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Return a recording without numbers that stand for "no value", and a finding about each."""
+    z, found = recording.z.copy(), []
+    speed = np.hypot(recording.z[:, 2], recording.z[:, 3])
+    for names, values in [
+        *((each, recording.z[:, MEASUREMENTS.index(each[0])]) for each in _SINGLY),
+        (("gps_vx_mps", "gps_vy_mps"), speed),
+    ]:
+        seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
+        often = np.flatnonzero(count >= _AGAIN)
+        # times a factor, the last digits may differ
+        mark = next((m for i in often if (m := _mark_of(float(seen[i]), seen, count))), None)
+        if mark is None:
+            continue
+        rows = np.abs(values - mark[0]) < _DIGITS * abs(mark[0])
+        for name in names:
+            z[rows, MEASUREMENTS.index(name)] = np.nan
+        sign = "plus or minus " if len(names) > 1 else ""  # a speed along a course has lost it
+        what = (
+            f"{recording.called(*names)}: {rows.sum()} of {np.isfinite(values).sum()} values are "
+            f'{sign}{mark[1]:g}, far from all others: a mark for "no value"'
+        )
+        remedy = "leave these cells empty; here they are left out, and the rest is checked"
+        evidence = {"mark": mark[1], "rows": float(rows.sum())}
+        found.append(Finding(ERROR, f"no-value-{names[0]}", what, remedy, evidence))
+    return (dataclasses.replace(recording, z=z), found) if found else (recording, [])
+
+
+def _mark_of(value: float, seen: Array, count: npt.NDArray[np.intp]) -> tuple[float, float] | None:
+    """Return a value and the mark that it is in the unit of the file, if it is one."""
+    same = np.abs(seen - value) < _DIGITS * abs(value)
+    others = np.repeat(seen[~same], count[~same])
+    if len(others) < ENOUGH:
+        return None
+    # a mark of its own in another column may have spoilt a few of the others
+    low, high = np.quantile(others, [0.01, 0.99])
+    if max(low - value, value - high) < high - low:
+        return None
+    for factor in _FACTORS:
+        for mark in _MARKS:
+            if abs(abs(value) - mark * factor) < _DIGITS * abs(value):
+                return value, math.copysign(mark, value)
+    return None
+
+
+def _cells(recording: Recording, timing: list[Finding]) -> list[Finding]:
+    """Return findings about too few rows, sensors without a sample and infinite cells.
+
+    Rows that are few for what ``timing`` says already are no second finding.
+    """
     if len(recording.t) < ENOUGH:
+        if any(finding.severity == ERROR for finding in timing) and len(recording.stamps) >= ENOUGH:
+            return []  # there are rows enough, but not in the order of their times
         what = f"{len(recording.t)} rows with a time of their own"
         return [Finding(ERROR, "too-short", what, "record for longer: some minutes, with turns")]
     found = []

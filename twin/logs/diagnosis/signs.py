@@ -40,6 +40,10 @@ _BETTER = 8.0
 """Log-likelihood by which a wrong sign must explain the motion better; also the price of a second
 fault."""
 
+_AGREE, _TURNS_ABOUT = 0.8, 0.5
+"""Shares of the way that a thrust explains where it pushes as the boat goes, and where it does so
+only at times."""
+
 _HEADING = {
     "compass-beyond-turn",
     "compass-degrees",
@@ -378,8 +382,14 @@ def _one_side(recording: Recording) -> Finding | None:
         return None
     most = float(np.abs(force).sum(axis=1).max())
     sides = {"left": force[:, 0], "right": force[:, 1]}
-    if min(np.std(value) for value in (*sides.values(), force[:, 0] - force[:, 1])) < 0.02 * most:
+    if min(np.std(value) for value in sides.values()) < 0.02 * most:
         return None
+
+    motion = speed_of(recording)
+
+    def pushed(left: float, right: float) -> float:
+        """Return the share of the way that goes as the total thrust pushes, less that against."""
+        return 0.0 if motion is None else _pushed(recording.t, force @ [left, right], motion)
 
     def explained(left: float, right: float, turn: float = 1.0) -> tuple[float, float]:
         """Return the likelihood of the motion, and the largest share that is explained."""
@@ -388,7 +398,8 @@ def _one_side(recording: Recording) -> Finding | None:
         found = _surge(recording, [total]) if np.std(total) > _CHANGE * most else []
         found += _best(recording, turning, {"difference": difference}).values()
         share = max((each.share for each in found if each.gain > 0.0), default=0.0)
-        return sum(each.likelihood for each in found), share
+        against = _BETTER if pushed(left, right) < -_AGREE else 0.0
+        return sum(each.likelihood for each in found) - against, share
 
     one = {"left": explained(-1.0, 1.0), "right": explained(1.0, -1.0)}
     name, (best, share) = max(one.items(), key=lambda item: item[1][0])
@@ -410,7 +421,12 @@ def _one_side(recording: Recording) -> Finding | None:
         )
         if effects
     ]
-    if not any(effect.gain < -_CLEAR * effect.sd for effect in seen):
+    if not seen:
+        # only together do they tell: the boat goes one way while their total turns about
+        signs = (-1.0, 1.0) if name == "left" else (1.0, -1.0)
+        if pushed(*signs) < _AGREE or abs(pushed(1.0, 1.0)) > _TURNS_ABOUT:
+            return None
+    elif not any(effect.gain < -_CLEAR * effect.sd for effect in seen):
         return None
     return Finding(
         ERROR,
@@ -420,6 +436,16 @@ def _one_side(recording: Recording) -> Finding | None:
         "turn the sign of this column alone: scale = -1.0 in a mapping file",
         {"likelihood": best, "next": max(others)},
     )
+
+
+def _pushed(t: Array, total: Array, motion: tuple[Array, Array, Array]) -> float:
+    """Return how much of the way goes ahead or astern as a total thrust (N,) says; 1: all of it."""
+    middle, velocity, psi = motion
+    ahead = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
+    way = np.hypot(*velocity.T)
+    sign = np.sign(averaged(t, total, middle, 2.0 * float(np.median(np.diff(middle)))))
+    ok = np.isfinite(ahead) & np.isfinite(sign)
+    return float(ahead[ok] @ sign[ok]) / max(float(way[ok].sum()), 1e-300)
 
 
 def _against(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:

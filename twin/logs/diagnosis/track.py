@@ -35,6 +35,9 @@ _NO_LEEWAY = math.radians(45.0)
 _MIRROR = 0.7
 """A mean resultant length above this is one direction."""
 
+_ONE_WAY = 0.9
+"""Above this a boat goes one way all the time, ahead or at one angle."""
+
 _CURRENT, _DRIFT = 0.5, 1.0
 """A current is about this share of the speed, or less; and of the speed of one that drifts."""
 
@@ -212,8 +215,8 @@ def _odds(
     drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
     if abs(drifting.angle) < 0.5 * math.pi:
         odds = max(odds, _log_odds(drifting, mirrored))
-    steady = _along(velocity, sign * speed * np.exp(1j * psi)).angle
-    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady
+    steady = _along(velocity, sign * speed * np.exp(1j * psi))
+    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady.angle
 
 
 def _log_odds(first: _Along, second: _Along) -> float:
@@ -283,6 +286,8 @@ def check_track(
 
 def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> list[Finding]:
     """Return a finding where the track goes off to one side of the compass, or astern."""
+    if _is_ahead(plain, fit):
+        fit = plain  # course and heading agree by themselves, and the commands are wrong
     off = fit.left < _EXPLAINED and abs(fit.steady) > _OFFSET_STRAIGHT
     if fit.along < _MIRROR and not off:
         return []
@@ -318,6 +323,13 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
     )
     severity = WARNING if far or (seen and not few) else NOTE
     return [Finding(severity, "compass-offset", what, remedy, fit._asdict())]
+
+
+def _is_ahead(plain: TrackFit, fit: TrackFit) -> bool:
+    """Return whether a boat goes ahead throughout, although commands say astern at times."""
+    agree = plain.along >= _ONE_WAY and abs(plain.offset) < _ASTERN
+    # commands that are reversed throughout also say astern, all the time
+    return agree and fit.along < _MIRROR and fit.along < plain.along
 
 
 def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) -> Finding:

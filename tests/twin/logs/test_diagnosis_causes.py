@@ -1,0 +1,179 @@
+"""One fault has one finding: what follows from a fault is not named beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from twin.channels import MEASUREMENTS
+from twin.logs.diagnosis.diagnose import diagnose
+from twin.logs.diagnosis.findings import NOTE, Finding, Recording
+from twin.sim.bridge import simulate
+from usv_gym import SeaState, Vessel
+
+X, Y, VX, VY, PSI = range(5)
+
+Fault = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+"""Changes measurements and commands in place; the first array is the time."""
+
+
+@functools.cache
+def simulated(vessel: str, manoeuvre: str = "zigzag", seed: int = 4) -> Recording:
+    sea = SeaState(hs=0.1, wind=2.0)
+    ship = Vessel.load(vessel)
+    log = simulate(manoeuvre, vessel=ship, sea=sea, duration=150.0, seed=seed)
+    return Recording(log.t, log.z, log.cmd, log.t)
+
+
+def found_with(fault: Fault, vessel: str = "otter", manoeuvre: str = "zigzag") -> list[Finding]:
+    sound = simulated(vessel, manoeuvre)
+    z, cmd = sound.z.copy(), sound.cmd.copy()
+    fault(sound.t, z, cmd)
+    return list(diagnose(dataclasses.replace(sound, z=z, cmd=cmd)).findings)
+
+
+def serious(findings: list[Finding]) -> list[str]:
+    return [finding.code for finding in findings if finding.severity != NOTE]
+
+
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+def test_sound_log_has_no_finding(vessel: str, manoeuvre: str) -> None:
+    assert serious(found_with(lambda t, z, cmd: None, vessel, manoeuvre)) == []
+
+
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+@pytest.mark.parametrize("side", [0, 1])
+def test_reversed_thruster_of_a_zigzag_is_named_and_the_compass_is_not(
+    vessel: str, side: int
+) -> None:
+    """The total of the commands turns about, while the boat goes ahead all the time."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        cmd[:, side] *= -1.0
+
+    assert serious(found_with(fault, vessel)) == [f"{('left', 'right')[side]}-sign"]
+
+
+@pytest.mark.parametrize("scale", [-1.0, -0.5, 0.3])
+def test_commands_do_not_change_the_offset_of_a_compass(scale: float) -> None:
+    """Course and heading agree by themselves, whatever one thruster is said to do."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        cmd[:, 0] *= scale
+
+    assert not {"compass-offset", "compass-reversed"} & set(serious(found_with(fault)))
+
+
+@pytest.mark.parametrize("degrees", [70.0, 90.0, -90.0, 120.0])
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+def test_turned_compass_is_named_alone(degrees: float, vessel: str) -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        z[:, PSI] += math.radians(degrees)
+
+    assert serious(found_with(fault, vessel)) == ["compass-offset"]
+
+
+def test_turned_accelerometers_are_still_named() -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        ax, ay = MEASUREMENTS.index("accel_x_mps2"), MEASUREMENTS.index("accel_y_mps2")
+        z[:, ax], z[:, ay] = -z[:, ay].copy(), z[:, ax].copy()
+
+    assert "accel-axes" in serious(found_with(fault))
+
+
+@pytest.mark.parametrize("size", [10.0, 24.0])
+@pytest.mark.parametrize("share", [0.03, 0.15])
+def test_spikes_are_counted(size: float, share: float) -> None:
+    counts = []
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rng = np.random.default_rng(2)
+        rows = np.flatnonzero(np.isfinite(z[:, X]) & (t > 30.0) & (t < 100.0))
+        rows = rows[rng.random(len(rows)) < share]
+        angle = rng.uniform(0.0, 2.0 * math.pi, len(rows))
+        z[rows, X] += size * np.cos(angle)
+        z[rows, Y] += size * np.sin(angle)
+        counts.append(len(rows))
+
+    found = {finding.code: finding for finding in found_with(fault)}
+    spikes = found["fix-spikes"].evidence
+    assert abs(spikes["fixes"] - counts[0]) <= 0.05 * counts[0] + 1
+    assert abs(spikes["most_m"] / size - 1.0) < 0.2
+    assert 30.0 <= spikes["from_s"] < spikes["until_s"] <= 100.0
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+def test_command_that_is_zero_throughout_is_named(side: int, manoeuvre: str) -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        cmd[:, side] = 0.0
+
+    found = found_with(fault, "otter", manoeuvre)
+    assert serious(found) == [f"{('left', 'right')[side]}-unit-dead"]
+    assert "is 0 in all rows while the boat sails" in found[0].what
+
+
+def test_course_in_the_wrong_unit_feigns_no_unit_of_speed() -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        speed, course = np.hypot(z[:, VX], z[:, VY]), np.arctan2(z[:, VY], z[:, VX])
+        course = np.degrees(course) % 360.0
+        z[:, VX], z[:, VY] = speed * np.cos(course), speed * np.sin(course)
+
+    assert serious(found_with(fault, "otter", "turn")) == ["course-unit"]
+
+
+def test_swapped_fixes_feign_no_fault_of_the_velocity() -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        z[:, [X, Y]] = z[:, [Y, X]]
+
+    assert serious(found_with(fault, "otter", "random")) == ["track-mirrored"]
+
+
+@pytest.mark.parametrize("mark", [-999.0, 999.0, -9999.0, 9999.0])
+@pytest.mark.parametrize("unit", [1.0, math.radians(1.0)])
+def test_marks_for_no_value_are_named_alone(mark: float, unit: float) -> None:
+    """Before, they were taken for faults of the sensor, or of its unit."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        z[::7, PSI] = mark * unit
+
+    found = found_with(fault)
+    assert serious(found) == ["no-value-compass_rad"]
+    assert f"{mark:g}" in found[0].what
+
+
+@pytest.mark.parametrize("length", [10.0, 25.0])
+@pytest.mark.parametrize("scatter", [0.0, 0.05])
+def test_fixes_that_stand_and_catch_up_are_named(length: float, scatter: float) -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 60.0) & (t < 60.0 + length) & np.isfinite(z[:, X]))
+        noise = scatter * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        z[:, [VX, VY]] = np.nan
+
+    found = {finding.code: finding for finding in found_with(fault)}
+    code = "fix-stands" if scatter else "fix-frozen"
+    assert abs(found[code].evidence["longest_s"] - length) < 1.5
+    assert "fix-steps" not in found
+
+
+def test_rows_out_of_order_are_not_too_few() -> None:
+    sound = simulated("otter")
+    order = np.random.default_rng(0).permutation(len(sound.t))
+    data = {name: sound.z[order, j] for j, name in enumerate(MEASUREMENTS)}
+    data["t_s"] = sound.t[order]
+    found = list(diagnose(Recording.of(data, {}, "log")).findings)
+    assert serious(found) == ["time-back"]
+
+
+def test_few_rows_are_too_few() -> None:
+    sound = simulated("otter")
+    data = {name: sound.z[:10, j] for j, name in enumerate(MEASUREMENTS)}
+    data["t_s"] = sound.t[:10]
+    assert "too-short" in serious(list(diagnose(Recording.of(data, {}, "log")).findings))
