@@ -74,16 +74,16 @@ DISTINCT, DISTINCT_FADE = 0.5, 0.7
 Their difference fades so in a step: the motion that it made remains."""
 
 DECIDED, DECIDED_STOP = 16.0, 8.0
-"""Evidence above which a hypothesis comes into force; and above which a boat does not stop at a
-command to. That is asked at a stop only, the others in every step."""
+"""Evidence above which a hypothesis comes into force. The second is for a boat that does not stop
+although its commands are zero; this is asked at stops only."""
 
 SUSPECT, LEVEL_SUSPECT = 1.0, 45.0
 """Evidence above which a step is not one before anything was at odds, and above which the level of
 the waves is not learned: the fault would become the level."""
 
 IDLE = 0.1
-"""Nominal thrust, speed and yaw rate below which a boat lies idle: it then teaches nothing, and
-waves that are not there would become their level."""
+"""A boat lies idle below this nominal thrust, speed and yaw rate. Nothing is learned then: the
+level of the waves would fall to its least."""
 
 RECENT = 3.0
 """Steps over which the mismatch is averaged."""
@@ -297,25 +297,29 @@ def _conclude(wrong, health):
 
 
 @inlined
-def _remember_commands(cmd, health):
-    """Remember commands and drive of the last step in which nothing was at odds."""
+def _remember_commands(idle, health):
+    """Remember commands and drive of the last step in which nothing was at odds.
+
+    A command to stop is one of them once the boat lies idle: until then it may not have arrived.
+    """
     agreed = health.mismatch < AGREED
+    stops = health.at_rest > 0.0 and not idle
     for k in range(HYPOTHESES):
         agreed = agreed and health.evidence[k] < SUSPECT
     if health.sensors[COMMAND].status == EXCLUDED or not agreed:
         return
     for k in range(N_COMMANDS):
         health.trusted[k] = health.before[k]
-        health.before[k] = cmd[k]
+        health.before[k] = health.before[k] if stops else health.row_command[k]
     for k in range(DRIVE):
         health.held_drive[k] = health.drive_before[k]
-        health.drive_before[k] = health.mean_drive[k]
+        health.drive_before[k] = health.drive_before[k] if stops else health.mean_drive[k]
     for axis in range(2):
         health.quiet_level[axis] = health.wave_level[axis]
 
 
 @inlined
-def _end_step(cmd, s, step, health, given):
+def _end_step(s, step, health, given):
     """Hold the step that ends against what each hypothesis says of it, and learn from it."""
     T = health.step_time
     for k in range(DRIVE):
@@ -346,7 +350,7 @@ def _end_step(cmd, s, step, health, given):
         _add_evidence(health, given)
         if health.sensors[COMMAND].reason != IMPOSSIBLE:
             _conclude(wrong, health)
-    _remember_commands(cmd, health)
+    _remember_commands(idle, health)
 
 
 @inlined
@@ -397,8 +401,8 @@ def _is_motion_known(dt, health):
 def _add_drive(dt, left, right, cmd, health, given):
     """Add what the commands of a row made to the step: the drive follows them with a lag.
 
-    The commands between two rows are taken to be the mean of theirs. Those of the later row may
-    have been given at its end, in answer to the motion that they would else explain.
+    The commands between two rows are taken to be the mean of theirs. The later one may
+    answer the motion that it would then explain.
     """
     a, b = left * abs(left), right * abs(right)
     targets = (
@@ -446,8 +450,10 @@ def check_commands(dt, cmd, s, ready, health, given):
     if known and health.step_time < 0.0:
         _begin_step(s, health, given)
     elif known and health.step_time >= step:
-        _end_step(cmd, s, step, health, given)
+        _end_step(s, step, health, given)
     _add_drive(dt, left, right, cmd, health, given)
+    for k in range(N_COMMANDS):
+        health.row_command[k] = cmd[k]
     if not known:
         health.step_time = -1.0
         if health.known_time == 0.0:

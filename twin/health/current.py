@@ -34,10 +34,9 @@ SURE = 2.0
 """Standard deviations by which it must be so."""
 
 WAVES = 0.05
-"""Surge by waves, in nominal speeds, that equals the velocity noise of the filters.
+"""Surge by waves, in nominal speeds, at which the variance of the current is doubled.
 
-Filters take waves for white noise. So a few steep ones in a row change the current by more than
-its standard deviation says.
+Filters take waves for white noise, so steep ones move the current by more than they claim.
 """
 
 SHOWN = 60.0

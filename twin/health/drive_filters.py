@@ -98,8 +98,8 @@ MODEL_SHARE = 0.53
 """Standard deviation of what the model leaves out in a step, in levels of the waves."""
 
 BRAKE, BRAKE_SD = 0.2, 0.3
-"""Thrust astern of propellers at rest at nominal speed, and the standard deviation of it and of the
-drag at speeds at which the boat was not driven, in nominal thrusts."""
+"""Drag of stopped propellers at nominal speed, and the standard deviation of it and of the hull's
+drag at untried speeds, in nominal thrusts."""
 
 UNKNOWN_THRUST, UNKNOWN_STEERING = 0.3, 0.4
 """Standard deviations of thrust and steering about those of before, in nominal thrusts, where

@@ -53,6 +53,7 @@ _LATER = (
     "velocity_longest",
     "sensors.in_use",
     "targets",
+    "row_command",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""

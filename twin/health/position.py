@@ -201,6 +201,8 @@ def _readmit(z, T, follows, frozen, health, given):
     lasting = lasted > most and gps.followed > CALM_LONG
     calm = gps.calm > CALM and follows and (not stepped or gps.followed > CALM_VELOCITY)
     if calm or alive or lasting:
+        if lasted > GIVE_IN:
+            gps.in_use = 0.0  # what spoke against it so long is at fault
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
         _begin_pull(health)

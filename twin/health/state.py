@@ -219,7 +219,7 @@ HEALTH = np.dtype(
         ("current_doubted", "f8"),  # time until which a change makes the GPS doubtful, s
         # commands against the motion: a filter of yaw rate and surge for each hypothesis
         ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
-        ("targets", "f8", DRIVE),  # the same before the lags, of the row before
+        ("targets", "f8", DRIVE),  # thrust and its parts of the row before, without the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
         ("drive_before", "f8", DRIVE),  # the same of the step before
@@ -238,6 +238,7 @@ HEALTH = np.dtype(
         ("regressors", "f8", COMMAND_TERMS),  # scratch
         ("gain", "f8", FILTER_STATES),  # scratch
         ("against_time", "f8"),  # how long the boat has gone against its thrust, s
+        ("row_command", "f8", N_COMMANDS),  # command of the row before
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion

@@ -97,8 +97,8 @@ def _find_fault(size, T, health, given):
     accel = health.sensors[ACCELEROMETERS]
     if is_fault(size, health.velocity_level, T, accel):
         gps = health.sensors[GPS]
-        # the sensor that was at fault last is the more likely one
-        returned = gps.in_use > 0.0 and health.clock - gps.since < GIVE_IN
+        # the sensor that was at fault last is the more likely one; named so, it was in use briefly
+        returned = gps.in_use >= GIVE_IN and health.clock - gps.since < GIVE_IN
         if is_late(health, given):
             exclude(health, GPS, LATE)
         elif returned and gps.since > accel.since:
@@ -129,6 +129,8 @@ def _has_stepped(step_x, step_y, T, health, given):
 def _hold_against_accelerometers(dt, z, s, health, given):
     """Add what the velocity gained more than the accelerometers say to the sum, and act on it."""
     accel, gps = health.sensors[ACCELEROMETERS], health.sensors[GPS]
+    if gps.status == OK and health.clock - gps.since > GIVE_IN:
+        gps.in_use = 0.0  # its last fault is long past
     T = health.velocity_time
     step_x, step_y = velocity_step(z, health)
     trusted = accel.status == OK and gps.status != EXCLUDED
@@ -153,7 +155,7 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     if gps.status != EXCLUDED and accel.status != EXCLUDED:
         _find_fault(size, T, health, given)
     elif gps.status == EXCLUDED and accel.status == OK:
-        if size > CLEAR * level:
+        if size > CLEAR * level and health.reckoned_time < GIVE_IN:
             # the velocity of a GPS that is late follows its fixes too
             gps.followed = gps.calm = 0.0
     elif accel.status == EXCLUDED:

@@ -379,7 +379,6 @@ class ParquetFile:
             # not polars: a damaged length makes it ask for more memory than there is, and abort
             self.file = pq.ParquetFile(path)
             self.header = tuple(self.file.schema_arrow.names)
-            self.rows = self.file.metadata.num_rows
 
     @contextmanager
     def _whole(self) -> Iterator[None]:
@@ -409,7 +408,9 @@ class ParquetFile:
                 if piece is None:
                     return
                 piece.validate(full=True)
-                frame = pl.DataFrame(pl.from_arrow(piece)).select(sources)
+                frame = pl.DataFrame(pl.from_arrow(piece))
+                frame.columns = piece.schema.names  # an empty name would be another
+                frame = frame.select(sources)
             empty = None
             yield frame
 

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +22,6 @@ from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, ParquetFile
 from twin.logs.mapping import Layout
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = [
     "MAX_ROWS",

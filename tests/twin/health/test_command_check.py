@@ -120,3 +120,14 @@ def test_zero_commands_of_a_boat_that_sails_on_are_named(vessel, within):
                 first = t - STOP
         delays.append(first)
     assert np.median(delays) < within
+
+
+@pytest.mark.parametrize("every", [1, 10, 20])
+@pytest.mark.parametrize("vessel", ["usv75", "otter"])
+def test_zero_commands_are_not_trusted_while_the_boat_sails_on(vessel, every):
+    for seed in range(2):
+        twin = Twin(particulars_of(Vessel.load(vessel)), "ukf")
+        for t, z, cmd in list(stopped(vessel, "zigzag", seed, False))[::every]:
+            twin.step(t, z.copy(), cmd.copy())
+            if t > STOP and twin.health["commands"].status != "ok":
+                assert twin.monitor.trusted(cmd)[:2].all()

@@ -263,6 +263,22 @@ def test_gps_that_is_a_little_late_never_names_the_accelerometers(seed, seconds)
     assert found.named == {"gps"}, found.findings
 
 
+@pytest.mark.parametrize("bias_from", [62.0, 92.0])
+def test_accelerometers_that_fail_after_a_jump_do_not_cost_the_gps_for_good(bias_from):
+    boat = Vessel.load("usv75")
+    sea = SeaState(hs=0.5, wind=4.5)
+    log = simulate("zigzag", vessel=boat, sea=sea, duration=bias_from + 150.0, seed=1)
+    twin = Twin(particulars_of(boat), "ukf")
+    for t, z, cmd in log.without_truth():
+        z = z.copy()
+        z[GPS_X] += 500.0 if bias_from - 2.0 <= t < bias_from + 4.0 else 0.0
+        z[ACCEL_X] += 1.0 if t >= bias_from else 0.0
+        twin.step(t, z, cmd.copy())
+    assert twin.health["gps"].status == "ok"
+    assert twin.health["accelerometers"].status == "excluded"
+    assert np.hypot(*(np.asarray(twin.estimate().state)[:2] - log.truth[-1, :2])) < 10.0
+
+
 @few
 @given(st.sampled_from(("zigzag", "random")), st.floats(4.0, 8.0))
 def test_gps_that_falls_behind_is_late(manoeuvre, seconds):

@@ -177,3 +177,22 @@ def test_few_rows_are_too_few() -> None:
     data = {name: sound.z[:10, j] for j, name in enumerate(MEASUREMENTS)}
     data["t_s"] = sound.t[:10]
     assert "too-short" in serious(list(diagnose(Recording.of(data, {}, "log")).findings))
+
+
+@pytest.mark.parametrize("columns", [(VX, VY), (VX,), (VY,)])
+def test_marks_for_no_value_in_a_velocity_are_named(columns: tuple[int, ...]) -> None:
+    def marked(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        for j in columns:
+            z[50:900:40, j] = -999.0
+
+    names = {MEASUREMENTS[j] for j in columns}
+    codes = set(serious(found_with(marked)))
+    assert codes and codes <= {f"no-value-{name}" for name in names}
+
+
+def test_a_heading_of_99_degrees_is_no_mark() -> None:
+    def whole(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        z[:, PSI] = np.radians(np.round(np.degrees(z[:, PSI])))
+        z[100:400:100, PSI] = np.radians(99.0)
+
+    assert "no-value-compass_rad" not in serious(found_with(whole))

@@ -365,3 +365,35 @@ def test_roll_pitch_and_heave_are_proposed(tmp_path: Path) -> None:
         np.testing.assert_allclose(seen[:, column], z[:, column], atol=1e-9)
     fixes = np.isfinite(seen[:, GPS_Z])
     np.testing.assert_allclose(seen[fixes, GPS_Z], z[fixes, GPS_Z] - 40.0, atol=1e-9)
+
+
+def test_parquet_of_other_programs_is_proposed(run: Log, tmp_path: Path) -> None:
+    """An index without a name, words as categories in small groups of rows, and lists."""
+    import polars as pl
+
+    rows = len(run)
+    frame = pl.DataFrame(
+        {
+            "": range(rows),
+            "mode": pl.Series(["auto", "manual"] * (rows // 2) + ["auto"] * (rows % 2)).cast(
+                pl.Categorical
+            ),
+            "cells": [[1.0, 2.0]] * rows,
+            "t_s": run.t,
+            "gps_x_m": run.z[:, 0],
+            "gps_y_m": run.z[:, 1],
+            "compass_rad": run.z[:, 4],
+        }
+    )
+    frame.write_parquet(tmp_path / "a.parquet", row_group_size=50)
+    text = propose(tmp_path / "a.parquet").text("a.parquet")
+    assert "gps_x_m" in text and "compass_rad" in text
+
+
+def test_parquet_with_two_columns_of_one_name_says_so(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table([[0.0, 1.0], [3.0, 4.0]], names=["t", "t"]), tmp_path / "a.parquet")
+    with pytest.raises(LogError, match="column t stands twice in the header"):
+        propose(tmp_path / "a.parquet")

@@ -81,7 +81,7 @@ _TURNS_AXES = {
 _SAME = math.radians(30.0)
 """Angles of track and accelerometers that differ by less have one cause, rad."""
 
-_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0)
+_MARKS = (999.0, 9999.0, 99999.0, 999999.0)
 """Programs write these numbers, of either sign, where there is no value."""
 
 _FACTORS = sorted({factor for units in UNITS.values() for factor in units.values()})
@@ -89,9 +89,6 @@ _FACTORS = sorted({factor for units in UNITS.values() for factor in units.values
 
 _AGAIN, _DIGITS = 3, 1e-9
 """A mark stands so many times or more; it is the same within this share."""
-
-_SINGLY = tuple((name,) for name in MEASUREMENTS if name not in ("gps_vx_mps", "gps_vy_mps"))
-"""Columns that are looked at by themselves; those of a velocity may come from speed and course."""
 
 _OF_RATES = {"gyro-scale", "gyro-degrees", "speed-unit", "shaft-unit", "shaft-speed"}
 """Findings that a wrong unit of time feigns."""
@@ -400,7 +397,8 @@ def _without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     z, found = recording.z.copy(), []
     speed = np.hypot(recording.z[:, 2], recording.z[:, 3])
     for names, values in [
-        *((each, recording.z[:, MEASUREMENTS.index(each[0])]) for each in _SINGLY),
+        *(((name,), recording.z[:, j]) for j, name in enumerate(MEASUREMENTS)),
+        # made of speed and course, a mark is in both
         (("gps_vx_mps", "gps_vy_mps"), speed),
     ]:
         seen, count = np.unique(values[np.isfinite(values)], return_counts=True)

@@ -51,8 +51,8 @@ _SINGLE = 0.01
 """More than this share of the fixes are no single jumps: stamps jitter, or the boat is quick."""
 
 _WINDOW, _SPIKE, _SPIKES = 11, 2.0, 4
-"""A spike is a fix that lies farther than this from the middle of so many, m; fewer are seen as
-steps."""
+"""A fix farther than the second (m) from the median of so many is a spike; fewer than the third are
+left to the search for steps."""
 
 _STILL, _STILL_SHARE, _LONG_STILL, _CAUGHT_UP = 0.1, 0.02, 3.0, 1.0
 """Fixes stand still within this, m, or this share of the step that follows; for longer than this,
@@ -441,12 +441,13 @@ def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
     if not found:
         return []
     most, length, at = max(found)
+    longest = max(each[1] for each in found)
     what = (
         f"{names}: the fixes stand still for {length:.0f} s and then catch up by {most:.2g} m "
         f"(from t = {at:.1f} s), {len(found)} time(s)"
     )
     remedy = "the receiver or its filter held the last fix: empty these cells"
-    evidence = {"most_m": most, "longest_s": length, "at_s": at, "times": float(len(found))}
+    evidence = {"most_m": most, "longest_s": longest, "at_s": at, "times": float(len(found))}
     return [Finding(WARNING, "fix-stands", what, remedy, evidence)]
 
 

@@ -41,8 +41,8 @@ _BETTER = 8.0
 fault."""
 
 _AGREE, _TURNS_ABOUT = 0.8, 0.5
-"""Shares of the way that a thrust explains where it pushes as the boat goes, and where it does so
-only at times."""
+"""Share of the way that goes as the thrust pushes: above the first it agrees, below the second it
+tells nothing."""
 
 _HEADING = {
     "compass-beyond-turn",

@@ -328,7 +328,7 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
 def _is_ahead(plain: TrackFit, fit: TrackFit) -> bool:
     """Return whether a boat goes ahead throughout, although commands say astern at times."""
     agree = plain.along >= _ONE_WAY and abs(plain.offset) < _ASTERN
-    # commands that are reversed throughout also say astern, all the time
+    # reversed commands say astern all the time, and fit.along stays high
     return agree and fit.along < _MIRROR and fit.along < plain.along
 
 

@@ -61,15 +61,29 @@ class Columns:
         return name
 
 
+def _text_of(file: ParquetFile) -> pl.DataFrame:
+    """Return the first rows of a file as text, without columns of lists."""
+    import polars as pl
+
+    for name in file.header:
+        if file.header.count(name) > 1:
+            raise LogError(twice_said(file.path, name, "the header"))
+    parts: list[pl.DataFrame] = []
+    for frame in file.frames(file.header, _ROWS):
+        plain = [name for name, kind in frame.schema.items() if not kind.is_nested()]
+        parts.append(frame.select(pl.col(plain).cast(pl.String)))
+        if sum(part.height for part in parts) >= _ROWS:
+            break
+    return pl.concat(parts).head(_ROWS)
+
+
 def read_columns(path: Path) -> Columns:
     """Return the cells of the first rows of a file."""
     import polars as pl
 
     twice: dict[str, str] = {}
     if path.suffix == ".parquet":
-        packed = ParquetFile(path)
-        frame = next(packed.frames(packed.header, _ROWS))
-        frame = frame.with_columns(pl.all().cast(pl.String))
+        frame = _text_of(ParquetFile(path))
     else:
         file = CsvFile(path)
         with gzip.open(path, "rb") if file.packed else path.open("rb") as raw:
