@@ -218,9 +218,9 @@ def _is_idle(health):
 def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
-    # what is wrong with the commands must not become the model; what lasts is a boat that changed
     # a stop at which the boat does not stop would teach that its thrust does nothing
     stop_doubted = health.at_rest > 0.0 and health.evidence[HELD] > SUSPECT
+    # what is wrong with the commands must not become the model; what lasts is a boat that changed
     at_odds = health.mismatch > AT_ODDS_ABOVE or stop_doubted
     health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
     held = at_odds and health.at_odds_steps <= HELD_STEPS
@@ -310,10 +310,12 @@ def _remember_commands(idle, health):
         return
     for k in range(N_COMMANDS):
         health.trusted[k] = health.before[k]
-        health.before[k] = health.before[k] if stops else health.row_command[k]
+        if not stops:
+            health.before[k] = health.row_command[k]
     for k in range(DRIVE):
         health.held_drive[k] = health.drive_before[k]
-        health.drive_before[k] = health.drive_before[k] if stops else health.mean_drive[k]
+        if not stops:
+            health.drive_before[k] = health.mean_drive[k]
     for axis in range(2):
         health.quiet_level[axis] = health.wave_level[axis]
 

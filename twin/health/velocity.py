@@ -154,10 +154,9 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     health.velocity_sum[1] *= factor
     if gps.status != EXCLUDED and accel.status != EXCLUDED:
         _find_fault(size, T, health, given)
-    elif gps.status == EXCLUDED and accel.status == OK:
-        if size > CLEAR * level and health.reckoned_time < GIVE_IN:
-            # the velocity of a GPS that is late follows its fixes too
-            gps.followed = gps.calm = 0.0
+    elif accel.status == OK and size > CLEAR * level and health.reckoned_time < GIVE_IN:
+        # the velocity of a GPS that is late follows its fixes too
+        gps.followed = gps.calm = 0.0
     elif accel.status == EXCLUDED:
         consistent = size < CLEAR * level and not is_frozen(accel)
         accel.calm = accel.calm + T if consistent else 0.0
@@ -169,8 +168,9 @@ def _hold_against_accelerometers(dt, z, s, health, given):
 def _is_reference_lost(health):
     """Return whether heading or velocity are in doubt: the accelerometers cannot be checked."""
     gps = health.sensors[GPS]
-    jumped = gps.reason == RELEASED or gps.reason == JUMPED
-    lost = gps.status == EXCLUDED and not (jumped or gps.reason == LATE or gps.reason == AT_ODDS)
+    of_fixes = gps.reason == RELEASED or gps.reason == JUMPED
+    of_fixes = of_fixes or gps.reason == LATE or gps.reason == AT_ODDS
+    lost = gps.status == EXCLUDED and not of_fixes
     lost = lost or is_velocity_doubted(health)
     for sensor in (COMPASS_SENSOR, GYRO_SENSOR):
         lost = lost or health.sensors[sensor].status >= DOUBTFUL

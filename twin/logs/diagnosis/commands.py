@@ -149,16 +149,17 @@ def _zero_throughout(
     """Return a finding where one of two shafts is never commanded while the boat sails."""
     names = ("n_left_rps", "n_right_rps")
     still = [not np.nan_to_num(recording.cmd[:, j]).any() for j in (0, 1)]
-    if still[0] == still[1] or _way(motion) < _SAILS:
+    way = _way(motion)
+    if still[0] == still[1] or way < _SAILS:
         return []
     side = 0 if still[0] else 1
     what = (
         f"{recording.called(names[side])} is 0 in all rows while the boat sails "
-        f"{_way(motion):.0f} m and {recording.called(names[1 - side])} is used"
+        f"{way:.0f} m and {recording.called(names[1 - side])} is used"
     )
     remedy = "record this command too; a boat that has one shaft only has one column, n_rps"
     code = f"{('left', 'right')[side]}-unit-dead"
-    return [Finding(WARNING, code, what, remedy, {"way_m": _way(motion)})]
+    return [Finding(WARNING, code, what, remedy, {"way_m": way})]
 
 
 def _by_particulars(name: str, seen: Array, particulars: Particulars | None) -> list[Finding]:

@@ -215,8 +215,8 @@ def _odds(
     drifting = _along(velocity, sign * np.exp(1j * psi), _DRIFT)
     if abs(drifting.angle) < 0.5 * math.pi:
         odds = max(odds, _log_odds(drifting, mirrored))
-    steady = _along(velocity, sign * speed * np.exp(1j * psi))
-    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady.angle
+    steady = _along(velocity, sign * speed * np.exp(1j * psi)).angle
+    return odds, math.sqrt(plain.square), math.sqrt(mirrored.square), steady
 
 
 def _log_odds(first: _Along, second: _Along) -> float:
