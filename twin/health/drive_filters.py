@@ -255,14 +255,16 @@ def step_filter(axis, k, motion, length, learn, health):
     for i in range(COMMAND_TERMS):
         change += f[i] * x[1 + i]
     decay = 1.0 + x[1] + 2.0 * x[2] * abs(r if axis == YAW else u)
-    decay = min(max(decay, 0.0), DECAY_MAX)
-    stopped = health.at_rest > 0.0 and k != HELD
-    if stopped and axis == SURGE:
+    stopped = axis == SURGE and health.at_rest > 0.0 and k != HELD
+    if stopped:
+        # a boat that coasts teaches nothing of its thrust
         change -= BRAKE * x[THRUST] * u * abs(u)
+        decay -= 2.0 * BRAKE * x[THRUST] * abs(u)
+    decay = min(max(decay, 0.0), DECAY_MAX)
     x[0] += change
     level = health.wave_level[axis]
     variance = decay * decay * P[0, 0] + (MODEL_SHARE * level) ** 2
-    if stopped and axis == SURGE:
+    if stopped:
         variance += (BRAKE_SD * x[THRUST] * abs(u)) ** 2
     if k == HELD and health.at_rest > 0.0:
         if axis == YAW:
