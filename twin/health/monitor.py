@@ -54,6 +54,8 @@ _LATER = (
     "sensors.in_use",
     "targets",
     "row_command",
+    "gyro_scale",
+    "course_for_compass",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""

@@ -72,6 +72,36 @@ def test_gyro_bias_names_the_gyro(manoeuvre, start, sign, bias):
     check(watch_fault(fault(change), manoeuvre, start=start), "gyro", 11.0, start, "contradicted")
 
 
+vessels = pytest.mark.parametrize("vessel", ["usv75", "otter", "wamv16"])
+
+
+@vessels
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "turn-zigzag"])
+@pytest.mark.parametrize("factor", [-1.0, math.degrees(1.0), math.radians(1.0)])
+def test_gyro_with_wrong_sign_or_unit_is_named_once(factor, manoeuvre, vessel):
+    """The compass is in doubt at most: what it turns in proportion is what the course follows."""
+
+    def change(rows: Rows) -> None:
+        rows.z[:, GYRO] *= factor
+
+    found = watch_fault(fault(change, 40.0), manoeuvre, vessel, after=59.0)
+    assert found.named == {"gyro"}, found.findings
+    assert len(found.findings) <= 6, found.findings
+    assert set(found.last.values()) == {"ok"}, found.last
+
+
+@vessels
+@pytest.mark.parametrize("sensor", [GYRO, COMPASS])
+def test_course_says_which_of_two_signs_is_wrong(sensor, vessel):
+    boat, names = Vessel.load(vessel), {GYRO: "gyro", COMPASS: "compass"}
+    log = simulate("zigzag", vessel=boat, sea=SeaState(hs=0.05), duration=60.0, seed=1)
+    log.z[:, sensor] *= -1.0
+    found = watch(Twin(particulars_of(boat), "ukf"), log, 0)
+    assert found.last[names.pop(sensor)] == "excluded", found.findings
+    assert found.last[names.popitem()[1]] == "ok", found.findings
+    assert len(found.findings) <= 6, found.findings
+
+
 @few
 @given(manoeuvres, starts)
 def test_frozen_gyro_names_the_gyro(manoeuvre, start):
