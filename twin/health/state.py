@@ -230,6 +230,11 @@ HEALTH = np.dtype(
         ("accel_mean", "f8", 2),  # mean acceleration over ground before it, m/s2
         ("velocity_repeated", "f8"),  # how long the velocity has repeated itself, s
         ("velocity_longest", "f8"),  # longest repetition while it was right, s
+        # accelerometers against the commands
+        ("unaided_surge", "f8"),  # surge by the commands alone, in nominal speeds
+        ("unaided_bias", "f8", 2),  # mean of acceleration measured minus expected, m/s2
+        ("unaided_sum", "f8", 2),  # leaky sums of what it differs from that, m/s
+        ("unaided_level", "f8", 2),  # their typical sizes, m/s
         # velocity of the water by the model, and whether it is plausible
         ("current", "f8", 3),  # north, east, standard deviation, m/s; NaN where there is none
         ("current_due", "f8"),  # time at which it is looked at again, s
