@@ -1,6 +1,6 @@
-"""Kernel that holds the accelerometers against the commands while no velocity is measured.
+"""Kernel that holds the accelerometers against the commands while the GPS is silent or left out.
 
-Without GPS nothing else tells a bias from a motion. The surge that the commands make, by what was
+Without it nothing else tells a bias from a motion. The surge that the commands make, by what was
 learned of thrust and drag, bounds how long a boat can accelerate.
 """
 
@@ -49,6 +49,9 @@ bias of the data sheet that is left of it."""
 MARGIN = 1.25
 """Factor of the alarm: the model of thrust and drag is rougher than a sensor."""
 
+STEP_MAX = 2.0
+"""After a longer gap (s) the sums begin again."""
+
 NO_VELOCITY = 3.0
 """A boat is unaided after so long without a velocity over ground, s."""
 
@@ -59,7 +62,7 @@ def _expected(dt, s, health, given):
 
     The surge by the commands alone is advanced; a velocity would hide what the sensors do.
     """
-    if health.steps <= WARM_UP:
+    if health.steps <= WARM_UP or dt > STEP_MAX:
         health.unaided_surge = s[U] / given.speed
     r, v = s[R] * given.time_scale, s[V] / given.speed
     change = surge_change(health.unaided_surge, v, r, health) / step_seconds(given)
@@ -70,7 +73,7 @@ def _expected(dt, s, health, given):
 
 @inlined
 def _decide(size, dt, health):
-    """Leave the accelerometers out, or take them back; ``size`` is that of the sum in levels."""
+    """Leave the accelerometers out, or take them back; ``size`` is the larger sum, in levels."""
     accel = health.sensors[ACCELEROMETERS]
     if accel.status == OK and is_fault(size, MARGIN, dt, accel):
         set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)
@@ -85,7 +88,7 @@ def check_unaided(dt, z, s, ready, health, given):
     """Hold accelerometers against commands; see :func:`twin.health.checks.check_sensors`."""
     known = health.sensors[COMMAND].status == OK and health.steps > WARM_UP
     expected = _expected(dt, s, health, given)
-    if not (ready and known):
+    if not (ready and known) or dt > STEP_MAX:
         health.unaided_sum[0] = health.unaided_sum[1] = 0.0
         return
     if not (math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y])):
@@ -103,5 +106,5 @@ def check_unaided(dt, z, s, ready, health, given):
         health.unaided_level[k] = level
         health.unaided_sum[k] = total * limited(abs(total), level)
         most = max(most, abs(health.unaided_sum[k]) / level)
-    if health.velocity_time > NO_VELOCITY:
+    if health.velocity_time > NO_VELOCITY or health.sensors[GPS].status == EXCLUDED:
         _decide(most, dt, health)

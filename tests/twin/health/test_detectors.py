@@ -309,6 +309,23 @@ def test_accelerometers_that_fail_after_a_jump_do_not_cost_the_gps_for_good(bias
     assert np.hypot(*(np.asarray(twin.estimate().state)[:2] - log.truth[-1, :2])) < 10.0
 
 
+@vessels
+def test_commands_say_whether_gps_or_accelerometers_are_at_fault(vessel):
+    """Ten seconds after the GPS jumped it is the more likely one, but for what the commands say."""
+
+    def change(rows: Rows) -> None:
+        rows.z[rows.since < 6.0, GPS_X] += 500.0
+        rows.z[rows.since > 16.0, ACCEL_X] += 1.0
+
+    log, twin, first = base("zigzag", vessel)
+    twin, start = copy.deepcopy(twin), START + 35.0
+    faulty = inject(log, fault(change, 60.0), start, seed=1)
+    end = int(np.searchsorted(log.t, start + 26.0))
+    found = watch(twin, faulty, first, end)
+    assert found.last["gps"] == "ok", found.findings
+    assert found.last["accelerometers"] == "excluded", found.findings
+
+
 @few
 @given(st.sampled_from(("zigzag", "random")), st.floats(4.0, 8.0))
 def test_gps_that_falls_behind_is_late(manoeuvre, seconds):
