@@ -489,7 +489,7 @@ def mutant(content, rng):
         array.flat[some] = rng.choice(values)
     elif kind == 4:
         ways = [array[:-1], array[None], array.astype("U9"), array > 0.0, np.zeros((0, 3))]
-        ways += [array.astype(np.float32), array.ravel(), np.zeros((40, *array.shape))]
+        ways += [array.real.astype(np.float32), array.ravel(), np.zeros((40, *array.shape))]
         arrays[name] = ways[int(rng.integers(len(ways)))]
     elif kind == 5:
         del arrays[name]

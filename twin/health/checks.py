@@ -22,6 +22,8 @@ from twin.health.samples import (
     take_samples,
 )
 from twin.health.state import (
+    ABSENT,
+    ACCELEROMETERS,
     COMMAND,
     COMPASS_SENSOR,
     DOUBTFUL,
@@ -30,6 +32,7 @@ from twin.health.state import (
     N_STATES,
     NO_ANSWER,
 )
+from twin.health.unaided import check_unaided
 from twin.health.velocity import check_velocity
 from twin.health.wind import check_wind
 from usv_kernel.jit import inlined, kernel
@@ -39,9 +42,10 @@ __all__ = ["check_sensors", "is_motion_doubted"]
 
 @inlined
 def is_motion_doubted(health):
-    """Return whether GPS or compass are at fault and left out."""
+    """Return whether GPS or compass are left out, or the accelerometers while there is no GPS."""
     sensors = health.sensors
-    return sensors[GPS].status == EXCLUDED or sensors[COMPASS_SENSOR].status == EXCLUDED
+    unaided = sensors[GPS].status == ABSENT and sensors[ACCELEROMETERS].status == EXCLUDED
+    return sensors[GPS].status == EXCLUDED or sensors[COMPASS_SENSOR].status == EXCLUDED or unaided
 
 
 @inlined
@@ -89,6 +93,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     check_position(dt, out, state, ready, possible, new_gps, health, given)
     find_frozen(usable, health, given)
     check_velocity(dt, out, state, usable, new_gps, health, given)
+    check_unaided(dt, out, state, usable, health, given)
     check_course(out, new_gps, health, given)
     check_commands(dt, cmd, state, usable, health, given)
     command = health.sensors[COMMAND]

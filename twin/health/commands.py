@@ -49,7 +49,7 @@ from twin.health.state import (
 )
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["CHANGED", "check_commands"]
+__all__ = ["CHANGED", "check_commands", "step_seconds"]
 
 STEP, STEP_MIN = 0.35, 0.9
 """A step, in lengths over nominal speed and in s: in shorter ones waves hide what commands do, in
@@ -126,6 +126,12 @@ to degrees is found by ``usv-twin log check``)."""
 
 LAG_MIN = 0.05
 """Least lag of the actuators, s."""
+
+
+@inlined
+def step_seconds(given):
+    """Return the least length of a step, s."""
+    return max(STEP * given.time_scale, STEP_MIN)
 
 
 @inlined
@@ -448,7 +454,7 @@ def check_commands(dt, cmd, s, ready, health, given):
     if not _are_possible(dt, left, right, cmd, health) or not ready:
         return
     known = _is_motion_known(dt, health)
-    step = max(STEP * given.time_scale, STEP_MIN)
+    step = step_seconds(given)
     if known and health.step_time < 0.0:
         _begin_step(s, health, given)
     elif known and health.step_time >= step:

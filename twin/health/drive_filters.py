@@ -26,6 +26,7 @@ __all__ = [
     "HELD",
     "LEFT_DEAD",
     "MOMENT",
+    "MOTION_MAX",
     "RIGHT_DEAD",
     "SIDES_SWAPPED",
     "SURGE",
@@ -36,6 +37,7 @@ __all__ = [
     "log_likelihood",
     "restart_motion",
     "step_filter",
+    "surge_change",
     "thrust_of",
     "write_effects",
 ]
@@ -135,6 +137,15 @@ def _effect(kind, k, drive):
 def thrust_of(drive):
     """Return the thrust of a drive, in nominal ones."""
     return drive[LEFT_THRUST] + drive[LEFT_THRUST + 1]
+
+
+@inlined
+def surge_change(u, v, r, health):
+    """Return by how much surge changes in a step, by the hypothesis in force; nominal units."""
+    force = int(health.hypothesis)
+    x, thrust = health.filters[force].x[SURGE], _effect(0, force, health.drive)
+    drag = x[1] * u + x[2] * u * abs(u) + x[4] * r * r
+    return drag + x[THRUST] * thrust + x[5] * v * r
 
 
 @inlined

@@ -28,6 +28,7 @@ __all__ = [
     "FROZEN_LONGEST",
     "FROZEN_TIME",
     "GIVE_IN",
+    "LEVEL_SHARE",
     "exclude",
     "is_fault",
     "is_frozen",

@@ -31,6 +31,7 @@ from twin.health.state import (
     NO_REASON,
     OK,
     TURN_RING,
+    WRONG_SCALE,
 )
 from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 from usv_kernel.jit import inlined, kernel
@@ -41,6 +42,21 @@ __all__ = ["check_course", "check_heading", "is_late", "turn_to_now"]
 SUM_TIME = 3.0
 """Time constant of the leaky sum of compass minus gyro, s: well below that of a gyro's drift,
 well above that of noise."""
+
+TURN_TIME, SCALE_TIME = 1.0, 3.0
+"""What compass and gyro turned within the first (s) is compared in sign and size over the second
+(s): shorter, noise of the compass hides it; longer, few turns are left to compare."""
+
+CORRELATED = 0.8
+"""Two turns are proportional if they share so much of their variance."""
+
+REVERSED, UNIT = (-1.4, -0.6), 15.0
+"""Turn of the compass over that of the gyro where one of them has the wrong sign; and the factor
+from which on, up or down, one of them has the wrong unit (degrees make 57). Other faults do not
+make the two turn in proportion so."""
+
+RIGHT_SCALE = (0.6, 1.5)
+"""The same of a gyro that is right; a compass near iron turns by so much less or more."""
 
 COMPASS_RESOLUTION = 0.005
 """Rounding of a compass that gives tenths or thirds of a degree, rad."""
@@ -76,6 +92,10 @@ COURSE_TIME = 10.0
 
 VOTE_TIME = 8.0
 """So long the course over ground may take to say which of compass and gyro is wrong, s."""
+
+WITNESS_TIME, WITNESS = 60.0, 0.2
+"""Where one of the two has the wrong sign or unit, the course says which. It lags, and may support
+the wrong one for seconds: what it said within the first (s) decides, above the second (rad2 s)."""
 
 VOTE_FREE, VOTE_FACTOR = 0.25, 2.0
 """One of the two is named when the course is further from it by this (rad) and this factor."""
@@ -128,16 +148,69 @@ def _learn_gyro_bias(step, level, T, health, given):
 
 
 @inlined
+def _compare_scale(turned, T, health):
+    """Add what the compass turned since its last sample to the regression on the gyro's turn."""
+    sums, fade, forget = health.gyro_scale, math.exp(-T / TURN_TIME), math.exp(-T / SCALE_TIME)
+    sums.compass = sums.compass * fade + turned
+    sums.gyro = sums.gyro * fade + health.gyro_turn
+    sums.weight = sums.weight * forget + T
+    sums.c = sums.c * forget + T * sums.compass
+    sums.g = sums.g * forget + T * sums.gyro
+    sums.c_c = sums.c_c * forget + T * sums.compass * sums.compass
+    sums.c_g = sums.c_g * forget + T * sums.compass * sums.gyro
+    sums.g_g = sums.g_g * forget + T * sums.gyro * sums.gyro
+
+
+@inlined
+def _forget_scale(health):
+    """Begin the regression again."""
+    sums = health.gyro_scale
+    sums.weight = sums.c = sums.g = sums.c_c = sums.c_g = sums.g_g = 0.0
+
+
+@inlined
+def _gyro_scale(health):
+    """Return the turn of the compass over that of the gyro; NaN where they are not proportional."""
+    sums = health.gyro_scale
+    weight = max(sums.weight, TINY)
+    c, g = sums.c / weight, sums.g / weight
+    c_c, g_g = sums.c_c / weight - c * c, sums.g_g / weight - g * g
+    c_g = sums.c_g / weight - c * g
+    proportional = g_g > 0.0 and c_g * c_g > CORRELATED * c_c * g_g
+    return c_g / g_g if proportional and sums.weight > 0.5 * SCALE_TIME else math.nan
+
+
+@inlined
+def _is_scale_wrong(health):
+    """Return whether compass and gyro turn as if one of them had the wrong sign or unit."""
+    scale = _gyro_scale(health)
+    unit = abs(scale) > UNIT or abs(scale) < 1.0 / UNIT
+    return REVERSED[0] < scale < REVERSED[1] or unit
+
+
+@inlined
 def _is_course_known(health):
     """Return whether there is a course over ground of now, to hold a heading against."""
     return health.drift_time > DRIFT_TIME and health.course_time < COURSE_GAP
 
 
 @inlined
+def _course_errors(health):
+    """Return by how much the course turned otherwise than compass and gyro, rad.
+
+    Where one of the two has the wrong sign or unit, either nothing or all is said against it.
+    """
+    if _is_scale_wrong(health):
+        said = health.course_for_compass
+        return (math.inf if said < -WITNESS else 0.0), (math.inf if said > WITNESS else 0.0)
+    return abs(health.course_minus_compass), abs(health.course_minus_gyro)
+
+
+@inlined
 def _vote_again(health):
     """Exchange compass and gyro where the course has come to contradict the one in use."""
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
-    by_compass, by_gyro = abs(health.course_minus_compass), abs(health.course_minus_gyro)
+    by_compass, by_gyro = _course_errors(health)
     if compass.status == EXCLUDED and by_gyro > VOTE_FREE + VOTE_FACTOR * by_compass:
         exclude(health, GYRO_SENSOR, AT_ODDS)
         set_status(health, COMPASS_SENSOR, OK, NO_REASON)
@@ -150,10 +223,11 @@ def _vote_again(health):
 def _vote(health):
     """Leave out compass or gyro, by which of them the course over ground follows less."""
     compass = health.sensors[COMPASS_SENSOR]
-    by_compass, by_gyro = abs(health.course_minus_compass), abs(health.course_minus_gyro)
+    by_compass, by_gyro = _course_errors(health)
     if compass.status == OK:
         set_status(health, COMPASS_SENSOR, DOUBTFUL, AT_ODDS)
         set_status(health, GYRO_SENSOR, DOUBTFUL, AT_ODDS)
+        _forget_scale(health)  # that of before says nothing
     clear = max(by_compass, by_gyro) > VOTE_FREE + VOTE_FACTOR * min(by_compass, by_gyro)
     if clear or health.clock - compass.since > VOTE_TIME:
         if by_compass > by_gyro:
@@ -165,14 +239,18 @@ def _vote(health):
 
 
 @inlined
-def _find_fault(step, T, frozen_compass, health, given):
+def _find_fault(step, turned, T, frozen_compass, health, given):
     """Name compass or gyro if the sum of what they disagree by says so."""
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
     size, level = abs(health.heading_sum), health.heading_level
-    if abs(step) > max(ALARM * level, JUMP_TURN * given.max_turn * T):
+    most = max(ALARM * level, JUMP_TURN * given.max_turn * T)
+    if min(abs(step), abs(turned)) > most:
         # no boat turns so fast
         health.heading_sum -= step
         exclude(health, COMPASS_SENSOR, JUMPED)
+    elif min(abs(step), abs(health.gyro_turn)) > most:
+        set_status(health, GYRO_SENSOR, EXCLUDED, AT_ODDS)
+        set_status(health, COMPASS_SENSOR, OK, NO_REASON)
     elif is_fault(size, level, T, compass):
         if is_frozen(gyro):
             set_status(health, GYRO_SENSOR, EXCLUDED, FROZEN)
@@ -190,7 +268,15 @@ def _readmit_gyro(size, level, T, health):
     """Take the gyro back after it agreed with the compass for a while."""
     gyro = health.sensors[GYRO_SENSOR]
     consistent = size < CLEAR * level and not is_frozen(gyro)
-    gyro.calm = gyro.calm + T if consistent else 0.0
+    if _is_scale_wrong(health) and health.sensors[COMPASS_SENSOR].status == OK:
+        set_status(health, GYRO_SENSOR, EXCLUDED, WRONG_SCALE)
+    # while the boat does not turn, wrong sign and unit do not show
+    unseen = gyro.reason == WRONG_SCALE
+    unseen = unseen and not RIGHT_SCALE[0] < _gyro_scale(health) < RIGHT_SCALE[1]
+    if not consistent:
+        gyro.calm = 0.0
+    elif not unseen:
+        gyro.calm += T
     if gyro.calm > CALM + SUM_TIME:
         set_status(health, GYRO_SENSOR, OK, NO_REASON)
 
@@ -225,7 +311,7 @@ def _least_level(dt, given):
 
 
 @inlined
-def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
+def _hold_against_gyro(dt, heading, step, turned, frozen_compass, health, given):
     """Add what the compass turned more than the gyro to the sum, and act on it."""
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
     T, floor = health.gyro_time, _least_level(dt, given)
@@ -238,9 +324,9 @@ def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
     if trusted:
         _learn_gyro_bias(step, level, T, health, given)
     if compass.status != EXCLUDED and gyro.status != EXCLUDED:
-        _find_fault(step, T, frozen_compass, health, given)
+        _find_fault(step, turned, T, frozen_compass, health, given)
     else:
-        voted = compass.reason == AT_ODDS or gyro.reason == AT_ODDS
+        voted = compass.reason == AT_ODDS or gyro.reason == AT_ODDS or gyro.reason == WRONG_SCALE
         if size > ALARM * level and voted:
             _vote_again(health)
         if gyro.status == EXCLUDED:
@@ -258,16 +344,19 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
     if not (math.isfinite(z[COMPASS]) and (new_compass or frozen)):
         return
     T = health.gyro_time
-    if new_compass and math.isfinite(health.last[COMPASS]):
-        rate = wrap(z[COMPASS] - health.last[COMPASS]) / max(T, 1e-3)
+    turned = wrap(z[COMPASS] - health.last[COMPASS])
+    if new_compass and math.isfinite(turned):
+        rate = turned / max(T, 1e-3)
         health.compass_rate += (1.0 - math.exp(-T / RATE_TIME)) * (rate - health.compass_rate)
     step = wrap(z[COMPASS] - health.last[COMPASS] - health.gyro_turn)
-    jumped = abs(step) > JUMP_FREE + JUMP_TURN * given.max_turn * T
+    # a gyro with the wrong unit does not make a compass jump
+    jumped = min(abs(step), abs(turned)) > JUMP_FREE + JUMP_TURN * given.max_turn * T
     if ready and compass.status != EXCLUDED and jumped:
         exclude(health, COMPASS_SENSOR, JUMPED)
     if math.isfinite(step) and T < STEP_MAX:
         if health.gyro_gap < GAP_SHARE * T:
-            _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
+            _compare_scale(turned, T, health)
+            _hold_against_gyro(dt, z[COMPASS], step, turned, frozen, health, given)
         elif compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
             # without gyro and compass the yaw rate is a guess: only the course tells
             apart = abs(health.course_minus_compass) if _is_course_known(health) else 0.0
@@ -365,6 +454,8 @@ def _compare_turns(course, heading, T, lag, health):
         turned = wrap(heading - health.course_compass)
         lagged = lag * (health.compass_rate - health.course_compass_rate)
         health.course_minus_compass += wrap(change - turned + lagged)
+    apart = health.course_minus_gyro**2 - health.course_minus_compass**2
+    health.course_for_compass = health.course_for_compass * math.exp(-T / WITNESS_TIME) + T * apart
 
 
 @kernel

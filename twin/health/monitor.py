@@ -12,6 +12,8 @@ from twin.channels import MEASUREMENTS
 from twin.checkpoint import COUNT, Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
+    ABSENT,
+    ACCELEROMETERS,
     COMPASS_SENSOR,
     EXCLUDED,
     GPS,
@@ -54,6 +56,9 @@ _LATER = (
     "sensors.in_use",
     "targets",
     "row_command",
+    "gyro_scale",
+    "course_for_compass",
+    "unaided",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""
@@ -147,9 +152,10 @@ class SensorMonitor:
 
     @property
     def motion_doubted(self) -> bool:
-        """True while GPS or compass are at fault and left out."""
+        """True while GPS or compass are left out, or the accelerometers while there is no GPS."""
         status = self.record["sensors"]["status"]
-        return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED)
+        unaided = status[GPS] == ABSENT and status[ACCELEROMETERS] == EXCLUDED
+        return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED or unaided)
 
     def wants_current(self, dt: float) -> bool:
         """Return whether the next row, after dt s, looks at the current of the model."""
@@ -266,7 +272,7 @@ FIELDS = {
     **dict.fromkeys(
         ("sensors.interval", "heading_level", "position_level", "pull_level"), _POSITIVE
     ),
-    **dict.fromkeys(("velocity_level", "wave_level", "clock"), _POSITIVE),
+    **dict.fromkeys(("velocity_level", "unaided_level", "wave_level", "clock"), _POSITIVE),
     "filters.P": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""

@@ -29,6 +29,7 @@ from twin.health.state import (
     SILENT,
     VELOCITY_FROZEN,
     VELOCITY_WRONG,
+    WRONG_SCALE,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GYRO
 from usv_kernel.jit import inlined, kernel
@@ -133,7 +134,8 @@ def _take_channels(dt, z, first, last, sensor, limit, health, out):
         for j in range(first, last):
             out[j] = math.nan
         check.impossible = min(check.impossible + 1.0, IMPOSSIBLE_MAX)
-        if check.impossible >= IMPOSSIBLE_COUNT:
+        # a gyro in degrees is not right again between its large numbers
+        if check.impossible >= IMPOSSIBLE_COUNT and check.reason != WRONG_SCALE:
             exclude(health, sensor, IMPOSSIBLE)
         check.calm = 0.0
         check.age = 0.0

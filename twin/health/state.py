@@ -62,6 +62,7 @@ REASONS = (
     "jumped in place and velocity: it may have been drawn away until then",
     "changed its velocity at once, though no accelerometer measured it",
     "gives a velocity that contradicts its fixes, and which is not used",
+    "has the wrong sign or unit",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -85,6 +86,7 @@ REASONS = (
     RELEASED,
     STEPPED,
     VELOCITY_WRONG,
+    WRONG_SCALE,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(
@@ -144,6 +146,20 @@ LAG_SUMS = np.dtype(
 )
 """Leaky sums of yaw rate r and drift angle beta: they tell how late the velocity is."""
 
+TURN_SUMS = np.dtype(
+    [
+        ("compass", "f8"),  # what the compass turned lately: a leaky sum, rad
+        ("gyro", "f8"),  # the same of the gyro, rad
+        ("weight", "f8"),  # leaky sums over time of 1, s ...
+        ("c", "f8"),  # ... of the turn of the compass, rad s ...
+        ("g", "f8"),  # ... of that of the gyro, rad s ...
+        ("c_c", "f8"),  # ... and of their products, rad2 s
+        ("c_g", "f8"),
+        ("g_g", "f8"),
+    ]
+)
+"""What the regression of the compass's turn on the gyro's remembers."""
+
 FILTER = np.dtype(
     [
         ("x", "f8", (2, FILTER_STATES)),  # yaw rate or surge, then parameters; nominal units
@@ -174,6 +190,7 @@ HEALTH = np.dtype(
         ("gyro_bias", "f8"),  # rad/s
         ("heading_sum", "f8"),  # leaky sum of compass minus gyro, rad
         ("heading_level", "f8"),  # its typical size, rad
+        ("gyro_scale", TURN_SUMS),  # for the sign and unit of the gyro
         ("reckoned_heading", "f8"),  # heading by the yaw rate since the compass was right, rad
         ("course", "f8"),  # last course over ground, rad; NaN if there is none
         ("course_time", "f8"),  # time since then, s
@@ -187,6 +204,7 @@ HEALTH = np.dtype(
         ("drift_time", "f8"),  # how long there has been one, s
         ("course_minus_gyro", "f8"),  # leaky sum of their changes, rad
         ("course_minus_compass", "f8"),  # rad
+        ("course_for_compass", "f8"),  # leaky sum of how much nearer the compass is to it, rad2 s
         ("lag_sums", LAG_SUMS),
         # position against velocity
         ("fix", "f8", 2),  # last fix, m
@@ -212,6 +230,11 @@ HEALTH = np.dtype(
         ("accel_mean", "f8", 2),  # mean acceleration over ground before it, m/s2
         ("velocity_repeated", "f8"),  # how long the velocity has repeated itself, s
         ("velocity_longest", "f8"),  # longest repetition while it was right, s
+        # accelerometers against the commands
+        ("unaided_surge", "f8"),  # surge by the commands alone, in nominal speeds
+        ("unaided_bias", "f8", 2),  # mean of acceleration measured minus expected, m/s2
+        ("unaided_sum", "f8", 2),  # leaky sums of what it differs from that, m/s
+        ("unaided_level", "f8", 2),  # their typical sizes, m/s
         # velocity of the water by the model, and whether it is plausible
         ("current", "f8", 3),  # north, east, standard deviation, m/s; NaN where there is none
         ("current_due", "f8"),  # time at which it is looked at again, s

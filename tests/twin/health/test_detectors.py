@@ -72,6 +72,36 @@ def test_gyro_bias_names_the_gyro(manoeuvre, start, sign, bias):
     check(watch_fault(fault(change), manoeuvre, start=start), "gyro", 11.0, start, "contradicted")
 
 
+vessels = pytest.mark.parametrize("vessel", ["usv75", "otter", "wamv16"])
+
+
+@vessels
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "turn-zigzag"])
+@pytest.mark.parametrize("factor", [-1.0, math.degrees(1.0), math.radians(1.0)])
+def test_gyro_with_wrong_sign_or_unit_is_named_once(factor, manoeuvre, vessel):
+    """The compass is in doubt at most: what it turns in proportion is what the course follows."""
+
+    def change(rows: Rows) -> None:
+        rows.z[:, GYRO] *= factor
+
+    found = watch_fault(fault(change, 40.0), manoeuvre, vessel, after=59.0)
+    assert found.named == {"gyro"}, found.findings
+    assert len(found.findings) <= 6, found.findings
+    assert set(found.last.values()) == {"ok"}, found.last
+
+
+@vessels
+@pytest.mark.parametrize("sensor", [GYRO, COMPASS])
+def test_course_says_which_of_two_signs_is_wrong(sensor, vessel):
+    boat, names = Vessel.load(vessel), {GYRO: "gyro", COMPASS: "compass"}
+    log = simulate("zigzag", vessel=boat, sea=SeaState(hs=0.05), duration=60.0, seed=1)
+    log.z[:, sensor] *= -1.0
+    found = watch(Twin(particulars_of(boat), "ukf"), log, 0)
+    assert found.last[names.pop(sensor)] == "excluded", found.findings
+    assert found.last[names.popitem()[1]] == "ok", found.findings
+    assert len(found.findings) <= 6, found.findings
+
+
 @few
 @given(manoeuvres, starts)
 def test_frozen_gyro_names_the_gyro(manoeuvre, start):
@@ -279,6 +309,23 @@ def test_accelerometers_that_fail_after_a_jump_do_not_cost_the_gps_for_good(bias
     assert np.hypot(*(np.asarray(twin.estimate().state)[:2] - log.truth[-1, :2])) < 10.0
 
 
+@vessels
+def test_commands_say_whether_gps_or_accelerometers_are_at_fault(vessel):
+    """Ten seconds after the GPS jumped it is the more likely one, but for what the commands say."""
+
+    def change(rows: Rows) -> None:
+        rows.z[rows.since < 6.0, GPS_X] += 500.0
+        rows.z[rows.since > 16.0, ACCEL_X] += 1.0
+
+    log, twin, first = base("zigzag", vessel)
+    twin, start = copy.deepcopy(twin), START + 35.0
+    faulty = inject(log, fault(change, 60.0), start, seed=1)
+    end = int(np.searchsorted(log.t, start + 26.0))
+    found = watch(twin, faulty, first, end)
+    assert found.last["gps"] == "ok", found.findings
+    assert found.last["accelerometers"] == "excluded", found.findings
+
+
 @few
 @given(st.sampled_from(("zigzag", "random")), st.floats(4.0, 8.0))
 def test_gps_that_falls_behind_is_late(manoeuvre, seconds):
@@ -311,6 +358,31 @@ SENSOR_OF = {**dict.fromkeys(SENSOR_CHANNELS[:4], "gps"), "compass_rad": "compas
     "gyro_radps": "gyro",
     **dict.fromkeys(SENSOR_CHANNELS[6:], "accelerometers"),
 }
+
+
+@vessels
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+@pytest.mark.parametrize("bias", [-1.0, 0.0, 1.0])
+def test_without_gps_the_commands_name_the_accelerometers(bias, manoeuvre, vessel):
+    """No boat goes on accelerating; and what it errs stays below what the bias would make."""
+
+    def change(rows: Rows) -> None:
+        rows.z[:, : GPS_VY + 1] = math.nan
+        rows.z[rows.since > 10.0, ACCEL_X] += bias
+
+    log, twin, first = base(manoeuvre, vessel)
+    start = START + 35.0  # thrust and drag are then known
+    faulty = inject(log, fault(change, 40.0), start, seed=1)
+    twin, end = copy.deepcopy(twin), int(np.searchsorted(log.t, start + 40.0))
+    found = watch(twin, faulty, first, end)
+    if bias == 0.0:
+        assert not found.named
+        return
+    assert found.named == {"accelerometers"}, found.findings
+    assert 45.0 < found.first("accelerometers") < 52.0, found.findings
+    assert log.truth is not None
+    assert math.dist(twin.estimate().state[:2], log.truth[end - 1, :2]) < 40.0
+    assert set(watch(twin, faulty, end).last.values()) == {"ok"}
 
 
 @pytest.mark.parametrize("channel", SENSOR_CHANNELS)

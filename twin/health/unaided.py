@@ -1,0 +1,110 @@
+"""Kernel that holds the accelerometers against the commands while the GPS is silent or left out.
+
+Without it nothing else tells a bias from a motion. The surge that the commands make, by what was
+learned of thrust and drag, bounds how long a boat can accelerate.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.channels import R, U, V
+from twin.health.commands import step_seconds
+from twin.health.drive_filters import MOTION_MAX, WARM_UP, surge_change
+from twin.health.evidence import (
+    CALM,
+    CLEAR,
+    LEVEL_SHARE,
+    is_fault,
+    is_frozen,
+    limited,
+    set_status,
+    typical_size,
+)
+from twin.health.state import (
+    ACCELEROMETERS,
+    AT_ODDS,
+    COMMAND,
+    EXCLUDED,
+    GPS,
+    NO_REASON,
+    OK,
+)
+from usv_kernel.channels import ACCEL_X, ACCEL_Y
+from usv_kernel.jit import inlined, kernel
+
+__all__ = ["check_unaided"]
+
+SUM_TIME = 5.0
+"""Time constant of the leaky sums of acceleration measured minus expected, s: well above the period
+of waves, and below the time in which a bias makes an error of ten metres."""
+
+FLOOR = 0.1
+"""Least level, m/s, beside what the data sheet lets a bias add up to."""
+
+BIAS_TIME, KNOWN = 30.0, 0.5
+"""Time constant with which the mean difference is learned while fixes come, s; and the share of a
+bias of the data sheet that is left of it."""
+
+MARGIN = 1.25
+"""Factor of the alarm: the model of thrust and drag is rougher than a sensor."""
+
+STEP_MAX = 2.0
+"""After a longer gap (s) the sums begin again."""
+
+NO_VELOCITY = 3.0
+"""A boat is unaided after so long without a velocity over ground, s."""
+
+
+@inlined
+def _expected(dt, s, health, given):
+    """Return the acceleration forward and to starboard that the commands make, m/s2.
+
+    The surge by the commands alone is advanced; a velocity would hide what the sensors do.
+    """
+    if health.steps <= WARM_UP or dt > STEP_MAX:
+        health.unaided_surge = s[U] / given.speed
+    r, v = s[R] * given.time_scale, s[V] / given.speed
+    change = surge_change(health.unaided_surge, v, r, health) / step_seconds(given)
+    surge = health.unaided_surge + change * dt
+    health.unaided_surge = min(max(surge, -MOTION_MAX), MOTION_MAX)
+    return change * given.speed - s[V] * s[R], health.unaided_surge * given.speed * s[R]
+
+
+@inlined
+def _decide(size, dt, health):
+    """Leave the accelerometers out, or take them back; ``size`` is the larger sum, in levels."""
+    accel = health.sensors[ACCELEROMETERS]
+    if accel.status == OK and is_fault(size, MARGIN, dt, accel):
+        set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)
+    elif accel.status == EXCLUDED:
+        accel.calm = accel.calm + dt if size < CLEAR and not is_frozen(accel) else 0.0
+        if accel.calm > CALM + SUM_TIME:
+            set_status(health, ACCELEROMETERS, OK, NO_REASON)
+
+
+@kernel
+def check_unaided(dt, z, s, ready, health, given):
+    """Hold accelerometers against commands; see :func:`twin.health.checks.check_sensors`."""
+    known = health.sensors[COMMAND].status == OK and health.steps > WARM_UP
+    expected = _expected(dt, s, health, given)
+    if not (ready and known) or dt > STEP_MAX:
+        health.unaided_sum[0] = health.unaided_sum[1] = 0.0
+        return
+    if not (math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y])):
+        return
+    learn = health.sensors[ACCELEROMETERS].status == OK and health.sensors[GPS].status == OK
+    floor = FLOOR + (KNOWN * given.accel_bias_sd + given.tilt) * SUM_TIME
+    fade, most = math.exp(-dt / SUM_TIME), 0.0
+    for k in range(2):
+        more = z[ACCEL_X + k] - expected[k] - health.unaided_bias[k]
+        if learn:
+            health.unaided_bias[k] += more * min(dt / BIAS_TIME, LEVEL_SHARE)
+        total = health.unaided_sum[k] * fade + more * dt
+        level = health.unaided_level[k]
+        level = typical_size(level, abs(total), floor, dt, health.clock, learn)
+        health.unaided_level[k] = level
+        health.unaided_sum[k] = total * limited(abs(total), level)
+        most = max(most, abs(health.unaided_sum[k]) / level)
+    if health.velocity_time > NO_VELOCITY or health.sensors[GPS].status == EXCLUDED:
+        _decide(most, dt, health)
