@@ -94,7 +94,9 @@ NAVIGATION = np.dtype(
         # place to north and east (m), and how many trials were averaged
         ("trial", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
-        ("motion_doubted", "f8"),  # 1 while GPS or compass are at fault and left out
+        ("motion_doubted", "f8"),  # 1 while sensors of the motion are at fault and left out
+        ("surge_known", "f8"),  # 1 in a row in which the surge begins again ...
+        ("surge", "f8"),  # ... with this, m/s
     ]
 )
 """What the filter of a boat remembers."""
@@ -102,7 +104,7 @@ NAVIGATION = np.dtype(
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
     **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
-    **dict.fromkeys(("commands_doubted", "motion_doubted"), FLAG),
+    **dict.fromkeys(("commands_doubted", "motion_doubted", "surge_known"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
     **dict.fromkeys(("since_lost", "unsettled"), Field(low=0.0)),

@@ -37,7 +37,10 @@ __all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
 Array = NDArray[Any]
 
 
-_CLOCK, _DUE = (field_at(HEALTH, name) for name in ("clock", "current_due"))
+_CLOCK, _DUE, _FOUND = (
+    field_at(HEALTH, name) for name in ("clock", "current_due", "unaided_found")
+)
+_SPEED = field_at(HEALTH_SETTINGS, "speed")
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
@@ -156,6 +159,13 @@ class SensorMonitor:
         status = self.record["sensors"]["status"]
         unaided = status[GPS] == ABSENT and status[ACCELEROMETERS] == EXCLUDED
         return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED or unaided)
+
+    @property
+    def new_surge(self) -> float | None:
+        """Surge by the commands, m/s, in the row in which accelerometers are found at fault."""
+        if self.memory[_FOUND] == 0.0:
+            return None
+        return float(self.record["unaided_surge"] * self._settings[_SPEED])
 
     def wants_current(self, dt: float) -> bool:
         """Return whether the next row, after dt s, looks at the current of the model."""

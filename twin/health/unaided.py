@@ -77,6 +77,7 @@ def _decide(size, dt, health):
     accel = health.sensors[ACCELEROMETERS]
     if accel.status == OK and is_fault(size, MARGIN, dt, accel):
         set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)
+        health.unaided_found = 1.0
     elif accel.status == EXCLUDED:
         accel.calm = accel.calm + dt if size < CLEAR and not is_frozen(accel) else 0.0
         if accel.calm > CALM + SUM_TIME:
@@ -86,6 +87,7 @@ def _decide(size, dt, health):
 @kernel
 def check_unaided(dt, z, s, ready, health, given):
     """Hold accelerometers against commands; see :func:`twin.health.checks.check_sensors`."""
+    health.unaided_found = 0.0
     known = health.sensors[COMMAND].status == OK and health.steps > WARM_UP
     expected = _expected(dt, s, health, given)
     if not (ready and known) or dt > STEP_MAX:

@@ -327,6 +327,13 @@ class Predictor(ABC):
         """
         return
 
+    def restart_surge(self, surge: float) -> None:
+        """Begin again with a surge (m/s): without GPS, the accelerometers are found at fault.
+
+        A predictor without a navigation of its own has nothing to do.
+        """
+        return
+
     @abstractmethod
     def reset(self) -> None:
         """Return to the state before the first row."""
