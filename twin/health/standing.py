@@ -1,0 +1,87 @@
+"""Kernel that asks whether fixes stand still while the boat moves."""
+
+from __future__ import annotations
+
+import math
+
+from twin.channels import U
+from twin.health.drive_filters import thrust_of
+from twin.health.evidence import GIVE_IN
+from twin.health.state import ACCELEROMETERS, EXCLUDED, FROZEN, GPS, OK
+from usv_kernel.channels import GPS_VX, GPS_X
+from usv_kernel.jit import inlined
+
+__all__ = ["are_fixes_standing", "begin_standing"]
+
+MEAN_TIME = 0.5
+"""Time constant of the mean of the fixes, s: in it the noise of single fixes averages out."""
+
+NEAR_SDS, NEAR_LEAST = 4.0, 0.1
+"""Fixes stand while their mean stays within so many of its standard deviations and this (m)."""
+
+WAY_BOTH, WAY_ALONE = 3.0, 4.0
+"""They are frozen if the boat went so many times further meanwhile: where its velocity is measured
+and its thrust keeps it going, and where only one of these is so."""
+
+SOON, SOON_INTERVALS, LATE = 0.5, 2.5, 8.0
+"""That must show later than this (s) and so many intervals of the fixes after they stood still, and
+within the last time (s). Boats at rest have stood for longer, and a velocity that errs has given in
+to the fixes by then."""
+
+DRIVEN = 0.3
+"""Share of the thrust that keeps its speed above which a boat is driven on. One that is not may
+have stopped; without accelerometers, the predictor's velocity takes a while to follow it."""
+
+
+@inlined
+def begin_standing(health):
+    """Begin anew with the next fix."""
+    health.stand_mean[0] = math.nan
+
+
+@inlined
+def _is_driven(s, health, given):
+    """Return whether the commands drive the boat on, so that it cannot just have stopped."""
+    u = s[U] / given.speed
+    return thrust_of(health.drive) * u > DRIVEN * abs(u * u * u)
+
+
+@inlined
+def are_fixes_standing(z, s, T, health, given):
+    """Return whether the fixes stay at a place while the boat went away from it.
+
+    T is the time since the last fix, s.
+    """
+    mean, at, way, gone = (
+        health.stand_mean,
+        health.stand_at,
+        health.stand_way,
+        health.stand_mean_way,
+    )
+    # the first fix has no lag
+    begins = math.isnan(mean[0])
+    share = 1.0 if begins else min(T / MEAN_TIME, 1.0)
+    for k in range(2):
+        before = 0.0 if begins else mean[k]
+        mean[k] = before + share * (z[GPS_X + k] - before)
+        # with the lag of the other: boats that reverse stand for a moment
+        gone[k] += share * (way[k] - gone[k])
+    sd = given.gps_sd * math.sqrt(min(0.5 * T / MEAN_TIME, 1.0))
+    near = NEAR_SDS * sd + NEAR_LEAST
+    if begins or math.hypot(mean[0] - at[0], mean[1] - at[1]) > near:
+        for k in range(2):
+            at[k] = mean[k]
+            way[k] -= gone[k]
+            gone[k] = 0.0
+        health.stand_time = health.stand_most = 0.0
+    health.stand_time += T
+    health.stand_most = max(health.stand_most, math.hypot(gone[0], gone[1]))
+    gps = health.sensors[GPS]
+    if gps.status == EXCLUDED and gps.reason == FROZEN:
+        return health.stand_most > WAY_BOTH * near and health.reckoned_time < GIVE_IN
+    soon = max(SOON, SOON_INTERVALS * gps.interval)
+    measured = health.sensors[ACCELEROMETERS].status == OK or math.isfinite(z[GPS_VX])
+    driven = _is_driven(s, health, given)
+    factor = WAY_BOTH if measured and driven else WAY_ALONE
+    went = (measured or driven) and health.stand_most > factor * near
+    return went and soon < health.stand_time < LATE
