@@ -17,11 +17,16 @@ MEAN_TIME = 0.5
 """Time constant of the mean of the fixes, s: in it the noise of single fixes averages out."""
 
 NEAR_SDS, NEAR_LEAST = 4.0, 0.1
-"""Fixes stand while their mean stays within so many of its standard deviations and this (m)."""
+"""Fixes stand while their mean stays within so many of its standard deviations and this (m), by the
+data sheet. Where only the thrust tells that the boat moves, by their own scatter, if that is less:
+a boat that is stopped drifts on, and the predictor's velocity takes a while to follow it."""
+
+SCATTER_SHARE = 0.2
+"""Largest weight of one step between fixes in their scatter."""
 
 WAY_BOTH, WAY_ALONE = 3.0, 4.0
-"""They are frozen if the boat went so many times further meanwhile: where its velocity is measured
-and its thrust keeps it going, and where only one of these is so."""
+"""They are frozen if the boat went so many times as far as that by the data sheet: where its
+velocity is measured and its thrust keeps it going, and where only one of these is so."""
 
 SOON, SOON_INTERVALS, LATE = 0.5, 2.5, 8.0
 """That must show later than this (s) and so many intervals of the fixes after they stood still, and
@@ -29,8 +34,7 @@ within the last time (s). Boats at rest have stood for longer, and a velocity th
 to the fixes by then."""
 
 DRIVEN = 0.3
-"""Share of the thrust that keeps its speed above which a boat is driven on. One that is not may
-have stopped; without accelerometers, the predictor's velocity takes a while to follow it."""
+"""With this share of the thrust that keeps its speed a boat is driven on; others may have stopped."""
 
 
 @inlined
@@ -58,16 +62,24 @@ def are_fixes_standing(z, s, T, health, given):
         health.stand_way,
         health.stand_mean_way,
     )
-    # the first fix has no lag
-    begins = math.isnan(mean[0])
+    gps = health.sensors[GPS]
+    soon = max(SOON, SOON_INTERVALS * gps.interval)
+    # the first fix, or the first after a gap, has no lag
+    begins = math.isnan(mean[0]) or soon < T
     share = 1.0 if begins else min(T / MEAN_TIME, 1.0)
+    square = 0.0
     for k in range(2):
+        square += (z[GPS_X + k] - health.last[GPS_X + k]) ** 2
         before = 0.0 if begins else mean[k]
         mean[k] = before + share * (z[GPS_X + k] - before)
         # with the lag of the other: boats that reverse stand for a moment
         gone[k] += share * (way[k] - gone[k])
-    sd = given.gps_sd * math.sqrt(min(0.5 * T / MEAN_TIME, 1.0))
-    near = NEAR_SDS * sd + NEAR_LEAST
+    health.stand_scatter += min(share, SCATTER_SHARE) * (square - health.stand_scatter)
+    measured = health.sensors[ACCELEROMETERS].status == OK or math.isfinite(z[GPS_VX])
+    # a step has the variance of two fixes, in each of two directions
+    scatter = given.gps_sd if measured else 0.5 * math.sqrt(health.stand_scatter)
+    smoothed = NEAR_SDS * math.sqrt(min(0.5 * gps.interval / MEAN_TIME, 1.0))
+    near = smoothed * min(scatter, given.gps_sd) + NEAR_LEAST
     if begins or math.hypot(mean[0] - at[0], mean[1] - at[1]) > near:
         for k in range(2):
             at[k] = mean[k]
@@ -75,13 +87,11 @@ def are_fixes_standing(z, s, T, health, given):
             gone[k] = 0.0
         health.stand_time = health.stand_most = 0.0
     health.stand_time += T
-    health.stand_most = max(health.stand_most, math.hypot(gone[0], gone[1]))
-    gps = health.sensors[GPS]
+    went = math.hypot(gone[0], gone[1]) / (smoothed * given.gps_sd + NEAR_LEAST)
+    health.stand_most = max(health.stand_most, went)
     if gps.status == EXCLUDED and gps.reason == FROZEN:
-        return health.stand_most > WAY_BOTH * near and health.reckoned_time < GIVE_IN
-    soon = max(SOON, SOON_INTERVALS * gps.interval)
-    measured = health.sensors[ACCELEROMETERS].status == OK or math.isfinite(z[GPS_VX])
+        return health.stand_most > WAY_BOTH and health.reckoned_time < GIVE_IN
     driven = _is_driven(s, health, given)
-    factor = WAY_BOTH if measured and driven else WAY_ALONE
-    went = (measured or driven) and health.stand_most > factor * near
-    return went and soon < health.stand_time < LATE
+    most = WAY_BOTH if measured and driven else WAY_ALONE
+    went_away = (measured or driven) and health.stand_most > most
+    return went_away and soon < health.stand_time < LATE

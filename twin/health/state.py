@@ -206,8 +206,9 @@ HEALTH = np.dtype(
         ("stand_at", "f8", 2),  # where it has stood since, m
         ("stand_way", "f8", 2),  # way by the predictor's velocity since, m
         ("stand_mean_way", "f8", 2),  # its mean as that of the fixes, m
-        ("stand_most", "f8"),  # the furthest that this led to, m
+        ("stand_most", "f8"),  # the furthest that this led to, in radii of standing fixes
         ("stand_time", "f8"),  # time since, s
+        ("stand_scatter", "f8"),  # recent mean square of the steps between fixes, m2
         # velocity against accelerometers
         ("velocity", "f8", 2),  # last velocity over ground, m/s
         ("velocity_time", "f8"),  # time since then, s
