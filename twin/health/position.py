@@ -17,7 +17,7 @@ from twin.health.evidence import (
     typical_size,
     velocity_step,
 )
-from twin.health.standing import are_fixes_standing, begin_standing
+from twin.health.standing import are_fixes_standing, begin_standing, have_stood
 from twin.health.state import (
     ACCELEROMETERS,
     COMPASS_SENSOR,
@@ -286,6 +286,7 @@ def check_position(dt, gap, z, s, ready, possible, new_gps, health, given):
     jumped = math.hypot(step_x, step_y) > (
         max(ALARM * level * noise / floor, JUMP_MIN) + JUMP_SHARE * given.speed * T
     )
+    stood = have_stood(s, health, given)
     if jumped:
         begin_standing(health)
     standing = are_fixes_standing(z, s, T, health, given)
@@ -299,7 +300,8 @@ def check_position(dt, gap, z, s, ready, possible, new_gps, health, given):
     elif gps.status != EXCLUDED:
         if jumped:
             jump = math.hypot(step_x, step_y)
-            exclude(health, GPS, RELEASED if _is_released(z, jump, health, given) else JUMPED)
+            released = _is_released(z, jump, health, given)
+            exclude(health, GPS, FROZEN if stood else RELEASED if released else JUMPED)
         elif standing:
             exclude(health, GPS, FROZEN)
         # without a measured velocity, only the predictor's is left: it may be the one that errs

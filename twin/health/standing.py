@@ -11,7 +11,7 @@ from twin.health.state import ACCELEROMETERS, EXCLUDED, FROZEN, GPS, OK
 from usv_kernel.channels import GPS_VX, GPS_X
 from usv_kernel.jit import inlined
 
-__all__ = ["are_fixes_standing", "begin_standing"]
+__all__ = ["are_fixes_standing", "begin_standing", "have_stood"]
 
 MEAN_TIME = 0.5
 """Time constant of the mean of the fixes, s: in it the noise of single fixes averages out."""
@@ -20,6 +20,9 @@ NEAR_SDS, NEAR_LEAST = 4.0, 0.1
 """Fixes stand while their mean stays within so many of its standard deviations and this (m), by the
 data sheet. Where only the thrust tells that the boat moves, by their own scatter, if that is less:
 a boat that is stopped drifts on, and the predictor's velocity takes a while to follow it."""
+
+NAMED_FACTOR = 2.0
+"""Once fixes are named, they stand within so many times that: none is taken back by its noise."""
 
 SCATTER_SHARE = 0.2
 """Largest weight of one step between fixes in their scatter."""
@@ -34,7 +37,10 @@ within the last time (s). Boats at rest have stood for longer, and a velocity th
 to the fixes by then."""
 
 DRIVEN = 0.3
-"""With this share of the thrust that keeps its speed a boat is driven on; others may have stopped."""
+"""A boat with this share of the thrust that keeps its speed goes on; another may have stopped."""
+
+THRUST_LEAST = 0.1
+"""Thrust, in nominal ones, under which no free boat lies still for long."""
 
 
 @inlined
@@ -48,6 +54,16 @@ def _is_driven(s, health, given):
     """Return whether the commands drive the boat on, so that it cannot just have stopped."""
     u = s[U] / given.speed
     return thrust_of(health.drive) * u > DRIVEN * abs(u * u * u)
+
+
+@inlined
+def have_stood(s, health, given):
+    """Return whether fixes stood for long under thrust: then a jump sets them right.
+
+    The predictor's velocity gave in to them before they were named.
+    """
+    thrust = abs(thrust_of(health.drive)) > THRUST_LEAST
+    return health.stand_time > LATE and thrust and _is_driven(s, health, given)
 
 
 @inlined
@@ -77,9 +93,11 @@ def are_fixes_standing(z, s, T, health, given):
     health.stand_scatter += min(share, SCATTER_SHARE) * (square - health.stand_scatter)
     measured = health.sensors[ACCELEROMETERS].status == OK or math.isfinite(z[GPS_VX])
     # a step has the variance of two fixes, in each of two directions
-    scatter = given.gps_sd if measured else 0.5 * math.sqrt(health.stand_scatter)
+    named = gps.status == EXCLUDED and gps.reason == FROZEN
+    scatter = given.gps_sd if measured or named else 0.5 * math.sqrt(health.stand_scatter)
     smoothed = NEAR_SDS * math.sqrt(min(0.5 * gps.interval / MEAN_TIME, 1.0))
     near = smoothed * min(scatter, given.gps_sd) + NEAR_LEAST
+    near *= NAMED_FACTOR if named else 1.0
     if begins or math.hypot(mean[0] - at[0], mean[1] - at[1]) > near:
         for k in range(2):
             at[k] = mean[k]
@@ -89,7 +107,7 @@ def are_fixes_standing(z, s, T, health, given):
     health.stand_time += T
     went = math.hypot(gone[0], gone[1]) / (smoothed * given.gps_sd + NEAR_LEAST)
     health.stand_most = max(health.stand_most, went)
-    if gps.status == EXCLUDED and gps.reason == FROZEN:
+    if named:
         return health.stand_most > WAY_BOTH and health.reckoned_time < GIVE_IN
     driven = _is_driven(s, health, given)
     most = WAY_BOTH if measured and driven else WAY_ALONE
