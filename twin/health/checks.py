@@ -96,15 +96,15 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         of an anemometer.
     """
     health.clock += dt
-    gap = _follows_gap(dt, health)
+    health.row_gap = 1.0 if _follows_gap(dt, health) else 0.0
     possible = _take_state(s, health, given)
     usable = ready and possible
     state = health.state
     new_gps, new_compass = take_samples(dt, z, health, given, out)
-    check_heading(dt, gap, out, state, usable, new_compass, health, given)
-    check_position(dt, gap, out, state, ready, possible, new_gps, health, given)
+    check_heading(dt, out, state, usable, new_compass, health, given)
+    check_position(dt, out, state, ready, possible, new_gps, health, given)
     find_frozen(usable, health, given)
-    check_velocity(dt, gap, out, state, usable, new_gps, health, given)
+    check_velocity(dt, out, state, usable, new_gps, health, given)
     check_course(out, new_gps, health, given)
     check_commands(dt, cmd, state, usable, health, given)
     command = health.sensors[COMMAND]

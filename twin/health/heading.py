@@ -104,11 +104,12 @@ TINY = 1e-9
 
 
 @inlined
-def _integrate_gyro(dt, gap, z, s, health):
+def _integrate_gyro(dt, z, s, health):
     """Sum up what the gyro turned since the last compass sample and the last course.
 
     What it turned in a gap between rows is not known: the step then counts as too long.
     """
+    gap = health.row_gap > 0.0
     health.gyro_time += max(dt, STEP_MAX) if gap else dt
     health.course_time += max(dt, COURSE_GAP) if gap else dt
     if math.isfinite(z[GYRO]):
@@ -253,9 +254,9 @@ def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
 
 
 @kernel
-def check_heading(dt, gap, z, s, ready, new_compass, health, given):
+def check_heading(dt, z, s, ready, new_compass, health, given):
     """Hold compass against gyro; see :func:`twin.health.checks.check_sensors`."""
-    _integrate_gyro(dt, gap, z, s, health)
+    _integrate_gyro(dt, z, s, health)
     compass = health.sensors[COMPASS_SENSOR]
     frozen = is_frozen(compass)
     if not (math.isfinite(z[COMPASS]) and (new_compass or frozen)):

@@ -55,6 +55,7 @@ _LATER = (
     "targets",
     "row_command",
     "row_interval",
+    "row_gap",
     "gap_way",
     "stand_",
 )

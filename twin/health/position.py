@@ -136,13 +136,13 @@ def _pull(step_x, step_y, T, health, given):
 
 
 @inlined
-def _reckon(dt, gap, z, s, health):
+def _reckon(dt, z, s, health):
     """Move on by the velocity since the last fix, and from where an excluded GPS was right."""
     north, east = over_ground(s)
     health.reckoned[0] += north * dt
     health.reckoned[1] += east * dt
     health.reckoned_time += dt
-    if not gap:
+    if health.row_gap == 0.0:
         health.stand_way[0] += north * dt
         health.stand_way[1] += east * dt
     doppler = math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])
@@ -150,7 +150,7 @@ def _reckon(dt, gap, z, s, health):
         north, east = z[GPS_VX], z[GPS_VY]
     health.travelled[0] += north * dt
     health.travelled[1] += east * dt
-    if gap:
+    if health.row_gap > 0.0:
         health.gap_way[0] += north * dt
         health.gap_way[1] += east * dt
     health.fix_time += dt
@@ -245,12 +245,12 @@ def _take_velocity_back(T, follows, health):
 
 
 @kernel
-def check_position(dt, gap, z, s, ready, possible, new_gps, health, given):
+def check_position(dt, z, s, ready, possible, new_gps, health, given):
     """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`.
 
     A predictor whose state is not ``possible`` is lost. Only fixes bring it back.
     """
-    doppler = _reckon(dt, gap, z, s, health)
+    doppler = _reckon(dt, z, s, health)
     gps = health.sensors[GPS]
     frozen = is_frozen(gps)
     if not (math.isfinite(z[GPS_X]) and math.isfinite(z[GPS_Y]) and (new_gps or frozen)):

@@ -45,7 +45,7 @@ THRUST_LEAST = 0.1
 
 @inlined
 def begin_standing(health):
-    """Begin anew with the next fix."""
+    """Begin again with the next fix."""
     health.stand_mean[0] = math.nan
 
 

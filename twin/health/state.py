@@ -160,6 +160,7 @@ HEALTH = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
         ("row_interval", "f8"),  # typical time between rows, s
+        ("row_gap", "f8"),  # 1 where the row follows a gap, else 0
         ("state", "f8", N_STATES),  # last state of the predictor that a boat can have
         ("sensors", CHECK, len(SENSORS)),
         ("last", "f8", 8),  # last sample of each channel; NaN before the first

@@ -64,10 +64,10 @@ the data sheet and this, m/s2."""
 
 
 @inlined
-def _integrate_acceleration(dt, gap, z, s, health):
+def _integrate_acceleration(dt, z, s, health):
     """Sum up the acceleration over ground since the last velocity; in gaps it is not known."""
     health.velocity_time += dt
-    if not gap and math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y]):
+    if health.row_gap == 0.0 and math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y]):
         c, n = math.cos(s[PSI]), math.sin(s[PSI])
         ax, ay = z[ACCEL_X] - health.accel_bias[0], z[ACCEL_Y] - health.accel_bias[1]
         health.accel_gain[0] += (ax * c - ay * n) * dt
@@ -178,9 +178,9 @@ def _is_reference_lost(health):
 
 
 @kernel
-def check_velocity(dt, gap, z, s, ready, new_gps, health, given):
+def check_velocity(dt, z, s, ready, new_gps, health, given):
     """Hold velocity against accelerometers; see :func:`twin.health.checks.check_sensors`."""
-    _integrate_acceleration(dt, gap, z, s, health)
+    _integrate_acceleration(dt, z, s, health)
     if not new_gps or not (math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])):
         return
     T = health.velocity_time
