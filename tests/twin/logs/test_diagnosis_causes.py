@@ -163,6 +163,36 @@ def test_fixes_that_stand_and_catch_up_are_named(length: float, scatter: float) 
     assert "fix-steps" not in found
 
 
+@pytest.mark.parametrize("vessel", ["otter", "usv75"])
+@pytest.mark.parametrize("velocity", [True, False])
+def test_fixes_that_stand_to_the_end_are_named(vessel: str, velocity: bool) -> None:
+    """They never catch up: velocity or commands say that the boat goes."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 125.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        if velocity:
+            cmd[:] = 0.0
+        else:
+            z[:, [VX, VY]] = np.nan
+
+    found = {finding.code: finding for finding in found_with(fault, vessel)}
+    assert found["fix-stands"].evidence["longest_s"] > 15.0
+    assert 115.0 < found["fix-stands"].evidence["at_s"] < 135.0
+
+
+def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
+    def stopped(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        z[t > 100.0, VX : VY + 1] *= 0.01
+        cmd[t > 100.0] = 0.0
+
+    assert "fix-stands" not in {finding.code for finding in found_with(stopped)}
+
+
 def test_rows_out_of_order_are_not_too_few() -> None:
     sound = simulated("otter")
     order = np.random.default_rng(0).permutation(len(sound.t))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import WARNING, Finding, Recording
-from twin.logs.diagnosis.signals import ENOUGH, ways
+from twin.logs.diagnosis.signals import ENOUGH, averaged, runs_of, ways
+from twin.logs.diagnosis.track import thrust
 
 __all__ = ["check_fixes"]
 
@@ -61,6 +63,21 @@ _PASSED = (0.3, 3.0)
 _GOES = 0.3
 """A boat goes from this share of its typical speed on."""
 
+_DRIVEN, _BEFORE = 0.5, 2
+"""A boat is driven from this share of its strong thrust (or speed) on, also in so many windows
+before: it needs time to get under way."""
+
+_STRONG = 0.9
+"""Strong thrust, or speed, is this quantile."""
+
+_STOPPED, _STOPPED_FOR = 0.1, 10.0
+"""Fixes stand if they go slower than this share of the typical speed while the boat is driven, for
+at least this long, s."""
+
+_LOW, _CONSISTENT, _OTHERS = 0.1, 0.5, 8
+"""Thrust tells speed if this quantile of the speeds over thrust is above this share of their
+median, in at least so many other windows."""
+
 
 def check_fixes(recording: Recording, t: Array, fix: Array) -> list[Finding]:
     """Return a finding where fixes stand still, or else jump aside.
@@ -75,7 +92,11 @@ def check_fixes(recording: Recording, t: Array, fix: Array) -> list[Finding]:
     if len(t) < 3 * ENOUGH:
         return []
     names = recording.called("gps_x_m", "gps_y_m")
-    return _stands(names, t, fix) or _spikes_or_steps(names, t, fix)
+    return (
+        _stands(names, t, fix)
+        or _stands_driven(recording, t, fix)
+        or _spikes_or_steps(names, t, fix)
+    )
 
 
 def _spikes_or_steps(names: str, t: Array, fix: Array) -> list[Finding]:
@@ -166,6 +187,67 @@ def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
     remedy = "the receiver or its filter held the last fix: empty these cells"
     evidence = {"most_m": most, "longest_s": longest, "at_s": at, "times": float(len(found))}
     return [Finding(WARNING, "fix-stands", what, remedy, evidence)]
+
+
+def _stands_driven(recording: Recording, t: Array, fix: Array) -> list[Finding]:
+    """Return a finding where fixes stand still while velocity or commands say that the boat goes.
+
+    They need not catch up: the log may end before, or the boat has come back.
+    """
+    way, middle, width = ways(t, fix)
+    if len(middle) < _OTHERS:
+        return []
+    speed = np.hypot(*way.T) / width
+    at, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    ahead = thrust(recording)
+    sources: dict[str, Array] = {}
+    if len(at) >= ENOUGH:
+        sources["the speed over ground says that the boat goes"] = np.hypot(
+            *averaged(at, velocity, middle, width).T
+        )
+    if ahead is not None:
+        drive = np.sqrt(np.abs(averaged(*ahead, middle, width)))
+        late = [np.roll(drive, k) for k in range(_BEFORE + 1)]
+        sources["the boat is driven as where it goes"] = np.minimum.reduce(late)
+    found = []
+    for why, drive in sources.items():
+        for i, j in runs_of(_is_still(speed, drive)):
+            if (j - i) * width >= _STOPPED_FOR:
+                found.append(((j - i) * width, float(middle[i] - 0.5 * width), why))
+    if not found:
+        return []
+    longest, start, why = max(found)
+    names = recording.called("gps_x_m", "gps_y_m")
+    what = (
+        f"{names}: the fixes stand still for {longest:.0f} s (from t = {start:.1f} s), while {why}"
+    )
+    remedy = "the receiver held the last fix: empty these cells; or the boat was held or aground"
+    return [Finding(WARNING, "fix-stands", what, remedy, {"longest_s": longest, "at_s": start})]
+
+
+def _is_still(speed: Array, drive: Array) -> npt.NDArray[np.bool_]:
+    """Return in which windows a boat hardly goes, although driven as where it goes.
+
+    Parameters
+    ----------
+    speed, drive : ndarray, shape (N,)
+        Speed of the fixes, m/s, and what is about proportional to it; NaN where unknown.
+    """
+    none = np.zeros(len(speed), dtype=np.bool_)
+    known = np.isfinite(speed) & np.isfinite(drive)
+    if known.sum() < _OTHERS:
+        return none
+    strong = float(np.quantile(drive[known], _STRONG))
+    driven = known & (drive > max(_DRIVEN * strong, 1e-9))
+    if driven.sum() < _OTHERS:
+        return none
+    gain = np.where(driven, speed / np.where(driven, drive, 1.0), np.inf)
+    still = gain < _STOPPED * float(np.median(gain[driven]))
+    others = gain[driven & ~still]
+    consistent = len(others) >= _OTHERS and np.quantile(others, _LOW) > _CONSISTENT * np.median(
+        others
+    )
+    return still if consistent else none
 
 
 def _stood_from(fix: Array, step: float) -> int:
