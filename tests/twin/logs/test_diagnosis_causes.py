@@ -79,6 +79,44 @@ def test_turned_compass_is_named_alone(degrees: float, vessel: str) -> None:
     assert serious(found_with(fault, vessel)) == ["compass-offset"]
 
 
+COMPASS_RUNS = (
+    # vessel, manoeuvre, speed of the current, m/s, and where it goes, rad
+    ("usv75", "zigzag", 0.2, 1.0),
+    ("usv75", "random", 0.2, 4.0),
+    ("otter", "turn-zigzag", 0.2, 2.0),
+    ("otter", "random", 0.1, 5.0),
+    ("wamv16", "turn-zigzag", 0.2, 0.5),
+    ("wamv16", "mission", 0.1, 3.0),
+)
+
+
+@functools.cache
+def in_current(run: int) -> Recording:
+    vessel, manoeuvre, current, to = COMPASS_RUNS[run]
+    sea = SeaState(hs=0.1, wind=3.0, current=current, current_to=to)
+    log = simulate(manoeuvre, vessel=Vessel.load(vessel), sea=sea, duration=200.0, seed=run)
+    return Recording(log.t, log.z, log.cmd, log.t)
+
+
+@pytest.mark.parametrize("run", range(len(COMPASS_RUNS)))
+@pytest.mark.parametrize("degrees", [-15.0, 0.0, 15.0])
+def test_compass_that_is_off_is_named_with_its_angle(run: int, degrees: float) -> None:
+    """Legs in several directions tell it from current and leeway."""
+    sound = in_current(run)
+    z = sound.z.copy()
+    z[:, PSI] += math.radians(degrees)
+    found = diagnose(dataclasses.replace(sound, z=z))
+    fit = found.measured.track
+    assert fit is not None and fit.is_known
+    assert abs(math.degrees(fit.legs) + degrees) < 4.0
+    assert serious(list(found.findings)) == (["compass-offset"] if degrees else [])
+
+
+def test_one_heading_does_not_tell_whether_the_compass_is_off() -> None:
+    fit = diagnose(simulated("otter", "straight")).measured.track
+    assert fit is not None and not fit.is_known
+
+
 def test_turned_accelerometers_are_still_named() -> None:
     def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
         ax, ay = MEASUREMENTS.index("accel_x_mps2"), MEASUREMENTS.index("accel_y_mps2")
