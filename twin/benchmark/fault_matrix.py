@@ -193,8 +193,9 @@ def _seconds(values: Array) -> str:
 def matrix_table(results: Sequence[FaultRun]) -> list[str]:
     """Return the lines of a Markdown table: a row for each fault, predictor by predictor."""
     lines = [
-        "| fault | predictor | normal again after, s | inside 90 % now / 10 s ahead | "
-        "farthest, m | named after, s | others named | runs |",
+        "| fault | predictor | forecast normal again after, s (median / worst) | truth in the "
+        "claimed 90 % now / 10 s ahead | largest error of position, m | fault named after, s "
+        "(median / worst) | sound sensors doubted, times | runs |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for fault in SENSOR_FAULTS:

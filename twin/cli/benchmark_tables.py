@@ -115,9 +115,9 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
     blocks = recorded_blocks(results)
     for title, block in blocks.items():
         ends = _has_losses(block)
-        ratio = ("ratio\nto p.\ntwin", "\n\nrec.")
+        ratio = ("ratio to\npersist.\ntwin", "\n\nlog")
         heads = ["position\n\nm", *ratio, "heading\n\ndeg", *ratio]
-        heads += ["end of\nloss\noff m", "\n\nsaid"] * ends
+        heads += ["end of\nloss: m\noff", "\n\nclaimed"] * ends
         table = _predictor_table(title, *heads)
         for name in best_first(block):
             texts = []
@@ -133,14 +133,15 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
     if blocks:
         explain(
             "Root mean square errors after 10 s, mean over runs, best first. Ratio to persistence, "
-            "twin: mean of the ratios of runs, persistence from the twin's own navigation; rec.: "
-            "ratio of the mean errors, persistence of the recorded u, v and r."
+            "which holds u, v and r. Column twin: those of the twin's own navigation, mean of the "
+            "ratios of runs. Column log: those in the log, ratio of the mean errors."
             + (LOSS_NOTE if any(_has_losses(block) for block in blocks.values()) else "")
         )
 
 
 LOSS_NOTE = (
-    " End of loss: error of the estimated position, m, and the radius said to hold 90 %; medians."
+    " End of loss: error of the estimated position, m, and the radius that is claimed to hold "
+    "90 %; medians."
 )
 """Explains the columns of tables with a loss of GPS."""
 

@@ -39,6 +39,10 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors", "is_motion_doubted"]
 
+ROW_SHARE, ROWS_MISSING, GAP_LEAST = 0.05, 2.5, 0.5
+"""Share of a new interval between rows in the typical one. A row after so many of these, and after
+so long (s), follows a gap: rows are missing, or the clock stepped."""
+
 
 @inlined
 def is_motion_doubted(health):
@@ -64,6 +68,17 @@ def _take_state(s, health, given):
     return possible
 
 
+@inlined
+def _follows_gap(dt, health):
+    """Return whether a row comes after a gap; learn the typical time between rows."""
+    if health.row_interval == 0.0:
+        health.row_interval = dt
+        return False
+    most = ROWS_MISSING * health.row_interval
+    health.row_interval += ROW_SHARE * (min(dt, most) - health.row_interval)
+    return dt > max(most, GAP_LEAST)
+
+
 @kernel
 def check_sensors(dt, z, cmd, s, ready, health, given, out):
     """Hold the sensors of a row against each other, and leave out those at fault.
@@ -85,6 +100,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         of an anemometer.
     """
     health.clock += dt
+    health.row_gap = 1.0 if _follows_gap(dt, health) else 0.0
     possible = _take_state(s, health, given)
     usable = ready and possible
     state = health.state

@@ -125,9 +125,13 @@ TINY = 1e-9
 
 @inlined
 def _integrate_gyro(dt, z, s, health):
-    """Sum up what the gyro turned since the last compass sample and the last course."""
-    health.gyro_time += dt
-    health.course_time += dt
+    """Sum up what the gyro turned since the last compass sample and the last course.
+
+    What it turned in a gap between rows is not known: the step then counts as too long.
+    """
+    gap = health.row_gap > 0.0
+    health.gyro_time += max(dt, STEP_MAX) if gap else dt
+    health.course_time += max(dt, COURSE_GAP) if gap else dt
     if math.isfinite(z[GYRO]):
         health.gyro_rate = z[GYRO] - health.gyro_bias
         health.gyro_turn += (z[GYRO] - health.gyro_bias) * dt

@@ -62,6 +62,10 @@ _LATER = (
     "gyro_scale",
     "course_for_compass",
     "unaided",
+    "row_interval",
+    "row_gap",
+    "gap_way",
+    "stand_",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""
@@ -268,7 +272,10 @@ class SensorMonitor:
 _POSITIVE = Field(low=0.0)
 
 FIELDS = {
-    **dict.fromkeys(("last", "fix", "velocity", "course", "course_compass"), Field(nan=True)),
+    **dict.fromkeys(
+        ("last", "fix", "velocity", "course", "course_compass", "stand_mean", "stand_at"),
+        Field(nan=True),
+    ),
     **dict.fromkeys(("current", "current_past"), Field(nan=True)),
     # indices of names
     "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),

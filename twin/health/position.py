@@ -17,6 +17,7 @@ from twin.health.evidence import (
     typical_size,
     velocity_step,
 )
+from twin.health.standing import are_fixes_standing, begin_standing, have_stood
 from twin.health.state import (
     ACCELEROMETERS,
     COMPASS_SENSOR,
@@ -56,7 +57,7 @@ PULL_FLOOR, PULL_VELOCITY, BIAS_TIME = 0.05, 1.0, 400.0
 in which the drifting error of a fix changes, s."""
 
 TINY = 1e-9
-"""Least age of the means, s: two fixes may have one stamp."""
+"""Least age of the means, s: two fixes may have one stamp. Also the least distance, m."""
 
 RECKONED_SHARE = 0.03
 """Error of the navigation's velocity where the GPS gives none, in nominal speeds."""
@@ -141,13 +142,35 @@ def _reckon(dt, z, s, health):
     health.reckoned[0] += north * dt
     health.reckoned[1] += east * dt
     health.reckoned_time += dt
+    if health.row_gap == 0.0:
+        health.stand_way[0] += north * dt
+        health.stand_way[1] += east * dt
     doppler = math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])
     if doppler:
         north, east = z[GPS_VX], z[GPS_VY]
     health.travelled[0] += north * dt
     health.travelled[1] += east * dt
+    if health.row_gap > 0.0:
+        health.gap_way[0] += north * dt
+        health.gap_way[1] += east * dt
     health.fix_time += dt
     return doppler
+
+
+@inlined
+def _excuse_gap(step_x, step_y, health):
+    """Return a step without what of it a gap between rows explains.
+
+    In it the boat may have turned; or the clock stepped, and the boat did not move at all. So it
+    may be anywhere within the way that it would have made ahead.
+    """
+    moved_x, moved_y = step_x + health.gap_way[0], step_y + health.gap_way[1]
+    way = math.hypot(health.gap_way[0], health.gap_way[1])
+    health.gap_way[0] = health.gap_way[1] = 0.0
+    if way == 0.0:
+        return step_x, step_y
+    share = max(1.0 - way / max(math.hypot(moved_x, moved_y), TINY), 0.0)
+    return share * moved_x, share * moved_y
 
 
 @inlined
@@ -236,6 +259,7 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     known = math.isfinite(health.fix[0])
     step_x = z[GPS_X] - health.fix[0] - health.travelled[0]
     step_y = z[GPS_Y] - health.fix[1] - health.travelled[1]
+    step_x, step_y = _excuse_gap(step_x, step_y, health)
     if not (possible or doppler):
         step_x = step_y = 0.0
     health.fix[0], health.fix[1] = z[GPS_X], z[GPS_Y]
@@ -246,6 +270,7 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     if T > GAP_MAX or (gps.status == DOUBTFUL and gps.reason == VELOCITY_FROZEN):
         _begin_sum(health)
         _begin_pull(health)
+        begin_standing(health)
         return
     fade = math.exp(-T / SUM_TIME)
     health.position_sum[0] = health.position_sum[0] * fade + step_x
@@ -261,6 +286,11 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     jumped = math.hypot(step_x, step_y) > (
         max(ALARM * level * noise / floor, JUMP_MIN) + JUMP_SHARE * given.speed * T
     )
+    stood = have_stood(s, health, given)
+    if jumped:
+        begin_standing(health)
+    standing = are_fixes_standing(z, s, T, health, given)
+    frozen = frozen or standing
     pull = _pull(step_x, step_y, T, health, given)
     follows = not (jumped or frozen)
     if doppler:
@@ -270,11 +300,16 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     elif gps.status != EXCLUDED:
         if jumped:
             jump = math.hypot(step_x, step_y)
-            exclude(health, GPS, RELEASED if _is_released(z, jump, health, given) else JUMPED)
+            released = _is_released(z, jump, health, given)
+            exclude(health, GPS, FROZEN if stood else RELEASED if released else JUMPED)
+        elif standing:
+            exclude(health, GPS, FROZEN)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
         elif (doppler or frozen) and is_fault(max(size / level, pull), 1.0, T, gps):
             exclude(health, GPS, FROZEN if frozen else DRIFTS)
     else:
+        if standing and gps.reason != IMPOSSIBLE:
+            exclude(health, GPS, FROZEN)
         if jumped:
             _begin_sum(health)
             _begin_pull(health)

@@ -175,6 +175,8 @@ is late by."""
 HEALTH = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
+        ("row_interval", "f8"),  # typical time between rows, s
+        ("row_gap", "f8"),  # 1 where the row follows a gap, else 0
         ("state", "f8", N_STATES),  # last state of the predictor that a boat can have
         ("sensors", CHECK, len(SENSORS)),
         ("last", "f8", 8),  # last sample of each channel; NaN before the first
@@ -210,6 +212,7 @@ HEALTH = np.dtype(
         ("fix", "f8", 2),  # last fix, m
         ("fix_time", "f8"),  # time since then, s
         ("travelled", "f8", 2),  # integral of the velocity since then, m
+        ("gap_way", "f8", 2),  # part of it in gaps between rows, m
         ("position_sum", "f8", 2),  # leaky sum of position minus velocity, m
         ("position_level", "f8"),  # its typical size, m
         ("pull_short", "f8", 2),  # short mean of position minus velocity, from the last fix, m
@@ -218,6 +221,13 @@ HEALTH = np.dtype(
         ("pull_level", "f8"),  # typical distance between them, m
         ("reckoned", "f8", 2),  # where dead reckoning puts an excluded GPS, m
         ("reckoned_time", "f8"),  # time since it began, s
+        ("stand_mean", "f8", 2),  # short mean of the fixes, m; NaN before the first
+        ("stand_at", "f8", 2),  # where it has stood since, m
+        ("stand_way", "f8", 2),  # way by the predictor's velocity since, m
+        ("stand_mean_way", "f8", 2),  # its mean as that of the fixes, m
+        ("stand_most", "f8"),  # the furthest that this led to, in radii of standing fixes
+        ("stand_time", "f8"),  # time since, s
+        ("stand_scatter", "f8"),  # recent mean square of the steps between fixes, m2
         # velocity against accelerometers
         ("velocity", "f8", 2),  # last velocity over ground, m/s
         ("velocity_time", "f8"),  # time since then, s
@@ -354,6 +364,8 @@ def initial_health() -> Array:
     memory = np.zeros(HEALTH.itemsize // 8)
     health = memory.view(HEALTH)[0]
     health["sensors"]["status"] = ABSENT
-    for name in ("last", "course", "fix", "velocity", "current", "current_past"):
+    for name in ("last", "course", "fix", "velocity", "stand_mean", "stand_at"):
+        health[name] = math.nan
+    for name in ("current", "current_past"):
         health[name] = math.nan
     return memory

@@ -65,9 +65,9 @@ the data sheet and this, m/s2."""
 
 @inlined
 def _integrate_acceleration(dt, z, s, health):
-    """Sum up the acceleration over ground since the last velocity."""
+    """Sum up the acceleration over ground since the last velocity; in gaps it is not known."""
     health.velocity_time += dt
-    if math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y]):
+    if health.row_gap == 0.0 and math.isfinite(z[ACCEL_X]) and math.isfinite(z[ACCEL_Y]):
         c, n = math.cos(s[PSI]), math.sin(s[PSI])
         ax, ay = z[ACCEL_X] - health.accel_bias[0], z[ACCEL_Y] - health.accel_bias[1]
         health.accel_gain[0] += (ax * c - ay * n) * dt

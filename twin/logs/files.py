@@ -104,6 +104,8 @@ def _numbers(
         what = "date and time" if name == clock.column else "number"
         timed = name in (clock.column, TIME)
         remedy = "remove the row" if timed else "leave the cell empty where there is no value"
+        if re.fullmatch(r"\s*-?\d+,\d+\s*", str(frame[name][row])):
+            remedy = "if the comma is the decimal mark, separate the cells by semicolons or tabs"
         raise LogError(
             f"{source}: column {name}, {unit} {int(lines[row])}: {shorten(frame[name][row])!r} is "
             f"not a {what}; correct it, or {remedy}"
@@ -351,9 +353,15 @@ def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:
     with suppress(csv.Error):
         for cells in reader:
             if len(cells) > width:
+                remedy = "remove the surplus cells, or name their columns in the header"
+                if mark == "," and len(cells) > 1.5 * width:  # each number is cut in two
+                    remedy = (
+                        "where the comma is the decimal mark, separate the cells by semicolons or "
+                        f"tabs; else {remedy}"
+                    )
                 return (
                     f"line {first - 1 + reader.line_num} has {len(cells)} cells but the header "
-                    f"{width}; remove the surplus cells, or name their columns in the header"
+                    f"{width}; {remedy}"
                 )
     return None
 

@@ -79,6 +79,44 @@ def test_turned_compass_is_named_alone(degrees: float, vessel: str) -> None:
     assert serious(found_with(fault, vessel)) == ["compass-offset"]
 
 
+COMPASS_RUNS = (
+    # vessel, manoeuvre, speed of the current, m/s, and where it goes, rad
+    ("usv75", "zigzag", 0.2, 1.0),
+    ("usv75", "random", 0.2, 4.0),
+    ("otter", "turn-zigzag", 0.2, 2.0),
+    ("otter", "random", 0.1, 5.0),
+    ("wamv16", "turn-zigzag", 0.2, 0.5),
+    ("wamv16", "mission", 0.1, 3.0),
+)
+
+
+@functools.cache
+def in_current(run: int) -> Recording:
+    vessel, manoeuvre, current, to = COMPASS_RUNS[run]
+    sea = SeaState(hs=0.1, wind=3.0, current=current, current_to=to)
+    log = simulate(manoeuvre, vessel=Vessel.load(vessel), sea=sea, duration=200.0, seed=run)
+    return Recording(log.t, log.z, log.cmd, log.t)
+
+
+@pytest.mark.parametrize("run", range(len(COMPASS_RUNS)))
+@pytest.mark.parametrize("degrees", [-15.0, 0.0, 15.0])
+def test_compass_that_is_off_is_named_with_its_angle(run: int, degrees: float) -> None:
+    """Legs in several directions tell it from current and leeway."""
+    sound = in_current(run)
+    z = sound.z.copy()
+    z[:, PSI] += math.radians(degrees)
+    found = diagnose(dataclasses.replace(sound, z=z))
+    fit = found.measured.track
+    assert fit is not None and fit.is_known
+    assert abs(math.degrees(fit.legs) + degrees) < 4.0
+    assert serious(list(found.findings)) == (["compass-offset"] if degrees else [])
+
+
+def test_one_heading_does_not_tell_whether_the_compass_is_off() -> None:
+    fit = diagnose(simulated("otter", "straight")).measured.track
+    assert fit is not None and not fit.is_known
+
+
 def test_turned_accelerometers_are_still_named() -> None:
     def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
         ax, ay = MEASUREMENTS.index("accel_x_mps2"), MEASUREMENTS.index("accel_y_mps2")
@@ -161,6 +199,36 @@ def test_fixes_that_stand_and_catch_up_are_named(length: float, scatter: float) 
     code = "fix-stands" if scatter else "fix-frozen"
     assert abs(found[code].evidence["longest_s"] - length) < 1.5
     assert "fix-steps" not in found
+
+
+@pytest.mark.parametrize("vessel", ["otter", "usv75"])
+@pytest.mark.parametrize("velocity", [True, False])
+def test_fixes_that_stand_to_the_end_are_named(vessel: str, velocity: bool) -> None:
+    """They never catch up: velocity or commands say that the boat goes."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 125.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        if velocity:
+            cmd[:] = 0.0
+        else:
+            z[:, [VX, VY]] = np.nan
+
+    found = {finding.code: finding for finding in found_with(fault, vessel)}
+    assert found["fix-stands"].evidence["longest_s"] > 15.0
+    assert 115.0 < found["fix-stands"].evidence["at_s"] < 135.0
+
+
+def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
+    def stopped(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        z[t > 100.0, VX : VY + 1] *= 0.01
+        cmd[t > 100.0] = 0.0
+
+    assert "fix-stands" not in {finding.code for finding in found_with(stopped)}
 
 
 def test_rows_out_of_order_are_not_too_few() -> None:

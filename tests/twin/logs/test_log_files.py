@@ -38,6 +38,16 @@ ZIPPED = gzip.compress(HEADER + b"\n" + ROW + b"\n" + ROW.replace(b"0", b"2", 1)
         ("a.csv", HEADER + b"\n" + ROW + b"\n" + ROW + b",7,8", "line 3 has 10 cells but the he"),
         (
             "a.csv",
+            HEADER + b"\n" + b",".join([b"0,5"] * 8) + b"\n",
+            "where the comma is the decimal mark, separate the cells by semicolons or tabs",
+        ),
+        (
+            "a.csv",
+            HEADER + (b"\n" + b",".join([b'"0,5"'] * 8)) * 2 + b"\n",
+            "if the comma is the decimal mark, separate the cells by semicolons or tabs",
+        ),
+        (
+            "a.csv",
             b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR",
             "is a binary file or UTF-16 text, not CSV; save",
         ),

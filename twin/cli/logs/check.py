@@ -174,11 +174,14 @@ def _agreement(found: Diagnosis, boat: Particulars | None) -> list[str]:
     elif measured.rates["gyro"]:
         lines.append("gyro against compass: cannot tell, the boat turns too little")
     track = measured.track
-    if track is not None and track.along > 0.7:
-        degrees = math.degrees(track.offset)
-        lines.append(f"track against compass: {degrees:+.1f} degrees on a straight course")
+    if track is not None and track.is_known:
+        off, sd = math.degrees(track.legs), math.degrees(track.legs_sd)
+        lines.append(f"track against compass: {off:+.1f} degrees (standard deviation {sd:.1f})")
     else:
-        lines.append("track against compass: cannot tell")
+        lines.append(
+            "track against compass: cannot tell; sail legs in opposite directions, or circles to "
+            "both sides"
+        )
     velocity = measured.velocity
     if velocity is not None:
         late = f", {velocity.lag:+.2f} s late" if velocity.lag else ""

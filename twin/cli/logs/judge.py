@@ -79,7 +79,7 @@ verdict_command.__doc__ = f"""Say in a few lines and one colour whether a twin m
     whichever is largest. Where the log shows roll and pitch, a sixth line scores their forecasts
     against what the twin finds two seconds later, beside the present angles, held.
 
-    {RULES}
+    {RULES.replace(chr(10), chr(10) + "    ")}
 
     Exit code 0: green or amber; 1: red; 2: it cannot be read.
     """

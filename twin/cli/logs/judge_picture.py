@@ -36,13 +36,18 @@ def draw_verdict(verdict: Verdict, log: Log) -> bytes:
     """Return the picture of a verdict as PNG."""
     entries: list[Entry] = [
         (line(BLUE), f"twin, {HORIZON:g} s ahead"),
-        (line(ORANGE), "persistence"),
+        (line(ORANGE), "persistence: velocities held"),
         (dots(BLACK), "fixes"),
-        (line(BLACK, DASHED), "bound"),
+        (line(BLACK, DASHED), "limit"),
     ]
     mosaic = [["track", "distance"], ["track", "heading"], ["parameters", "losses"]]
     fig, axes = new_figure(
-        f"{verdict.log}: {verdict.colour}", verdict.predictor, entries, mosaic, (11.0, 9.0)
+        f"{verdict.log}: {verdict.colour}",
+        f"{verdict.predictor}; "
+        + ", ".join(f"{answer.about} {answer.colour}" for answer in verdict.answers),
+        entries,
+        mosaic,
+        (11.0, 9.0),
     )
     _track(axes["track"], verdict, log)
     for k, (name, unit, scale) in enumerate(
@@ -59,7 +64,7 @@ def draw_verdict(verdict: Verdict, log: Log) -> bytes:
 
 def _track(ax: Axes, verdict: Verdict, log: Log) -> None:
     """Draw the fixes, and forecasts from where they were made."""
-    set_title(ax, "track and forecasts, m")
+    set_title(ax, "track and forecasts from points of it, m")
     seen = np.isfinite(log.z[:, :2]).all(axis=1)
     ax.plot(log.z[seen, 1], log.z[seen, 0], color=BLACK, ls="", marker=".", ms=2)
     every = max(len(verdict.forecasts) // _PATHS, 1)
@@ -81,7 +86,7 @@ def _errors(ax: Axes, verdict: Verdict, k: int, scale: float) -> None:
 
 def _losses(ax: Axes, verdict: Verdict) -> None:
     """Draw the error of each loss of GPS, and the bound."""
-    set_title(ax, "position off without GPS, m")
+    set_title(ax, "position off without GPS, m; a line is one loss")
     for loss in verdict.losses:
         ax.plot(loss.after, loss.error, color=BLUE, lw=1.0)
     ax.axhline(verdict.bound, color=BLACK, lw=1.0, ls=DASHED)
@@ -92,7 +97,7 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
 def _parameters(ax: Axes, verdict: Verdict) -> None:
     """Draw the parameters that went furthest from the prior."""
     prior = verdict.in_use if verdict.in_use and verdict.in_use.is_prior else None
-    title = "best refit, not in use: the prior is" if prior else "largest changes of parameters"
+    title = "best refit, not in use: the prior is" if prior else "parameters farthest from prior"
     set_title(ax, title)
     empty = "" if verdict.deviations else "the predictor has no parameters"
     if prior and prior.refit is None:

@@ -1,4 +1,4 @@
-"""Fixes and speed over ground: noise, jumps, units, stamps, delay."""
+"""Fixes against each other and the speed over ground: jumps, units, stamps, delay."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
+from twin.logs.diagnosis.fixes import check_fixes
 from twin.logs.diagnosis.signals import (
     ENOUGH,
     averaged,
@@ -43,20 +44,6 @@ _PIECES = 1000
 
 _STAMP_JITTER = 0.03
 """Stamps of fixes that jitter by more than this are worth a word, s."""
-
-_STEP, _STEP_NOISE = 0.1, 15.0
-"""A fix that steps by more than this (m) and so many times the median step aside has jumped."""
-
-_SINGLE = 0.01
-"""More than this share of the fixes are no single jumps: stamps jitter, or the boat is quick."""
-
-_WINDOW, _SPIKE, _SPIKES = 11, 2.0, 4
-"""A fix farther than the second (m) from the median of so many is a spike; fewer than the third are
-left to the search for steps."""
-
-_STILL, _STILL_SHARE, _LONG_STILL, _CAUGHT_UP = 0.1, 0.02, 3.0, 1.0
-"""Fixes stand still within this, m, or this share of the step that follows; for longer than this,
-s; a shorter step, m, catches up with nothing."""
 
 _LATE, _MOST_LATE = 0.25, 3.0
 """A delay between fixes and velocity worth a word, and the largest looked for, s."""
@@ -336,7 +323,7 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
                 stamps._asdict(),
             )
         )
-    found += _stands(names, t, fix) or _spikes_or_steps(names, t, fix)
+    found += check_fixes(recording, t, fix)
     fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
 
@@ -346,117 +333,6 @@ def _raised(scatter: float, gps_sd: float) -> str:
     if gps_sd > 0.98 * scatter:  # of rounded numbers
         return f"; gps_sd = {gps_sd:.3g} in the particulars covers it"
     return f"; else raise gps_sd to {scatter:.2g}"
-
-
-def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
-    """Return a finding where fixes step aside and stay there."""
-    if len(t) < 3 * ENOUGH:
-        return []
-    step, width = np.diff(fix, axis=0), np.diff(t)
-    speed = step / width[:, None]
-    # the part of the jump that the steps around it do not explain
-    near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
-    left = np.hypot(*(step[2:-2] - width[2:-2, None] * near).T)
-    even = width[2:-2] < 3.0 * float(np.median(width))
-    bound = max(_STEP, _STEP_NOISE * float(np.median(left)))
-    wild = np.flatnonzero((left > bound) & even)
-    if not 0 < len(wild) <= max(3, _SINGLE * len(t)):
-        return []
-    most = int(wild[np.argmax(left[wild])])
-    at, length = float(t[most + 3]), float(left[most])
-    return [
-        Finding(
-            WARNING,
-            "fix-steps",
-            f"{names}: the fixes step aside by up to {length:.2g} m from one to the next (at t = "
-            f"{at:.1f} s), {len(wild)} time(s)",
-            "the receiver changed satellites or mode: expect errors of the position of this size",
-            {"most_m": length, "at_s": at, "times": float(len(wild))},
-        )
-    ]
-
-
-def _spikes_or_steps(names: str, t: Array, fix: Array) -> list[Finding]:
-    """Return the finding that explains more fixes: spikes, or steps aside."""
-    spikes, steps = _spikes(names, t, fix), _steps(names, t, fix)
-    if not spikes or not steps:
-        return spikes or steps
-    return spikes if spikes[0].evidence["fixes"] > steps[0].evidence["times"] else steps
-
-
-def _spikes(names: str, t: Array, fix: Array) -> list[Finding]:
-    """Return a finding where fixes jump aside and come back, again and again."""
-    half = _WINDOW // 2
-    if len(t) < 3 * ENOUGH:
-        return []
-    windows = np.lib.stride_tricks.sliding_window_view(fix, _WINDOW, axis=0)
-    # along a track the middle of its neighbours is their median, however they are spaced
-    far = np.hypot(*(fix[half:-half] - np.median(windows, axis=-1)).T)
-    at = t[half:-half]
-    near = far <= max(_SPIKE, _STEP_NOISE * float(np.median(far)))
-    speed = np.hypot(*np.diff(fix[half:-half][near], axis=0).T) / np.diff(at[near])
-    if len(speed) < ENOUGH:
-        return []
-    # a turn of a boat that goes fast is no spike
-    quick = 4.0 * float(np.quantile(speed, 0.95)) * float(np.median(np.diff(t)))
-    wild = np.flatnonzero(~near & (far > quick))
-    if len(wild) < _SPIKES:
-        return []
-    most, first, last = float(far[wild].max()), float(at[wild[0]]), float(at[wild[-1]])
-    what = (
-        f"{names}: {len(wild)} of {len(t)} fixes jump aside by up to {most:.2g} m and back "
-        f"(median {np.median(far[wild]):.2g} m; between t = {first:.1f} and {last:.1f} s)"
-    )
-    remedy = "reflections or lost satellites: empty these cells"
-    evidence = {"fixes": float(len(wild)), "most_m": most, "from_s": first, "until_s": last}
-    return [Finding(WARNING, "fix-spikes", what, remedy, evidence)]
-
-
-def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
-    """Return a finding where fixes of a boat that goes stand still, and catch up at once."""
-    if len(t) < 3 * ENOUGH:
-        return []
-    step = np.hypot(*np.diff(fix, axis=0).T)
-    way, middle, width = ways(t, fix)
-    speed = np.hypot(*way.T) / width
-    speed = speed[np.isfinite(speed)]
-    if not len(middle) or not len(speed):
-        return []
-    typical = float(np.quantile(speed, 0.75))
-    found = []
-    for k in np.flatnonzero(step > max(_CAUGHT_UP, 8.0 * float(np.median(step))))[:_PIECES]:
-        last = fix[max(k - 8, 0) : k + 1]
-        place = np.median(last, axis=0)
-        scatter = 4.5 * float(np.median(np.hypot(*(last - place).T)))
-        radius = max(_STILL, _STILL_SHARE * step[k], min(scatter, 5.0 * _STILL_SHARE * step[k]))
-        apart = np.flatnonzero(np.hypot(*(fix[: k + 1] - place).T) > radius)
-        start = int(apart[-1]) + 1 if len(apart) else 0
-        length = float(t[k] - t[start])
-        if k - start < ENOUGH // 2 or length < _LONG_STILL:
-            continue
-        passed = step[k] / (length * max(typical, 1e-12))
-        gone = [_went(t, fix, start, -1), _went(t, fix, int(k) + 1, 1)]
-        if 0.3 < passed < 3.0 and min(gone) > 0.3 * typical:
-            found.append((float(step[k]), length, float(t[start])))
-    if not found:
-        return []
-    most, length, at = max(found)
-    longest = max(each[1] for each in found)
-    what = (
-        f"{names}: the fixes stand still for {length:.0f} s and then catch up by {most:.2g} m "
-        f"(from t = {at:.1f} s), {len(found)} time(s)"
-    )
-    remedy = "the receiver or its filter held the last fix: empty these cells"
-    evidence = {"most_m": most, "longest_s": longest, "at_s": at, "times": float(len(found))}
-    return [Finding(WARNING, "fix-stands", what, remedy, evidence)]
-
-
-def _went(t: Array, fix: Array, row: int, way: int) -> float:
-    """Return the mean speed in the seconds before (way -1) or after (1) a row; 0 if unknown."""
-    edge = t[row] + way * _LONG_STILL
-    other = int(np.searchsorted(t, edge).clip(0, len(t) - 1))
-    time = abs(float(t[other] - t[row]))
-    return float(np.hypot(*(fix[other] - fix[row]))) / time if time > 0.0 else 0.0
 
 
 def in_degrees(fix: Array) -> str:

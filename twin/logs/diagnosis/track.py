@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
-from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, sampled, ways
+from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, robust_sd, sampled, ways
 
 __all__ = [
     "BOTH_MIRRORED",
@@ -63,6 +63,29 @@ _EXPLAINED = 0.75
 """A track that leaves more than this share of its speed unexplained tells nothing."""
 
 
+_ARC = 1.5
+"""Over a larger turn a chord tells no direction, rad."""
+
+_DRIFT_ANGLE = 0.5
+"""In turns the hull drifts sideways by about this angle, or less, rad ..."""
+
+_DRIFT_SHARE = 0.4
+"""... which is not quite proportional to the yaw rate: this share of it is taken for unknown."""
+
+_LEEWAY_SHARE = 0.07
+"""Leeway is not quite a current: this share of both is taken for unknown."""
+
+_PASSES = 3
+"""The angle is found so often, each time in axes turned by the last one."""
+
+_CRAB = math.radians(1.5)
+"""A sound boat goes off its heading by about this: hull, thrusters and wind are never even, rad."""
+
+_KNOWN, _OFF, _OFF_SURE = math.radians(4.0), math.radians(10.0), 3.0
+"""An offset over legs is known with a smaller standard deviation than the first, rad; a compass is
+off from the second on, rad, and so many standard deviations."""
+
+
 class TrackFit(NamedTuple):
     """How the track over ground goes with the heading."""
 
@@ -92,6 +115,15 @@ class TrackFit(NamedTuple):
     """... and that the mirrored heading leaves."""
     steady: float
     """Angle from heading to motion through the water, rad, where the current is a small one."""
+    legs: float
+    """The same over legs in several directions, without current and drift in turns, rad ..."""
+    legs_sd: float
+    """... and its standard deviation; large where the legs do not tell, infinite without any."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the legs tell by how much the compass is off."""
+        return self.legs_sd < _KNOWN
 
 
 def compass_on_track(
@@ -162,7 +194,75 @@ def compass_on_track(
         abs(mean(psi)),
         float(length.sum()),
         *_odds(velocity, astern, psi),
+        *_offset_over_legs(velocity, astern, psi, turned * step),
     )
+
+
+def _offset_over_legs(
+    velocity: npt.NDArray[Any], astern: npt.NDArray[np.bool_], psi: Array, turned: Array
+) -> tuple[float, float]:
+    """Return the angle from heading to motion through the water, and its standard deviation, rad.
+
+    Parameters
+    ----------
+    velocity, astern, psi : ndarray, shape (N,)
+        Over ground, m/s, as complex numbers; where the boat goes astern; heading, rad.
+    turned : ndarray, shape (N,)
+        By how much the heading turns meanwhile, rad.
+
+    Notes
+    -----
+    Of the velocity in axes of the compass, the part abeam is the part ahead times the tangent of
+    the angle, plus a constant current turned into these axes, plus a drift in proportion to the
+    yaw rate. This is linear in the tangent, whatever the speed through the water is. Current and
+    drift have priors, so legs that do not separate them leave a large standard deviation.
+    """
+    # an arc is longer than its chord
+    over_ground = velocity / np.sinc(turned / TURN)
+    ahead = np.where(astern, -1.0, 1.0) * over_ground * np.exp(-1j * psi)
+    angle, sd = float(np.angle(ahead.sum())), math.inf
+    for _ in range(_PASSES):
+        axes = psi + angle
+        body = over_ground * np.exp(-1j * axes)
+        # a hull that goes the other way drifts otherwise
+        sense = math.copysign(1.0, float(body.real.sum()))
+        ok = (np.abs(turned) < _ARC) & (sense * body.real > 0.0)
+        if ok.sum() < ENOUGH // 2:
+            return math.nan, math.inf
+        more, sd = _abeam(body[ok], axes[ok], turned[ok])
+        angle += more
+    return float(np.remainder(angle + math.pi, TURN) - math.pi), sd
+
+
+def _abeam(body: npt.NDArray[Any], psi: Array, turned: Array) -> tuple[float, float]:
+    """Return the angle of a velocity in turned axes, and its standard deviation, rad."""
+    u, v = body.real, body.imag
+    speed = math.sqrt(float(np.mean(np.abs(body) ** 2)))
+    A = np.column_stack([u, -np.sin(psi), np.cos(psi), turned])
+    current, drift = _CURRENT * speed, _DRIFT_ANGLE * speed / max(float(np.std(turned)), 1e-9)
+    prior = np.diag([0.0, current**-2, current**-2, drift**-2])
+    weight, square = np.ones(len(u)), speed**2
+    for _ in range(15):
+        normal = A.T @ (A * weight[:, None]) / square
+        fit = np.linalg.lstsq(normal + prior, A.T @ (weight * v) / square, rcond=None)[0]
+        left = v - A @ fit
+        scale = max(robust_sd(left), 1e-3 * speed)
+        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(left), 1e-300))
+        # of what is left, neighbours say the same
+        same = max(float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300), 0.0)
+        square = max(float(weight @ left**2 / weight.sum()), 1e-6 * speed**2)
+        square *= (1.0 + same) / max(1.0 - same, 1e-3)
+    # on one heading, a speed that changes tells an angle only if wind and current are constant
+    steady = np.column_stack([np.full(len(u), speed), A[:, 1:]])
+    variance = max(
+        float(np.linalg.pinv(each.T @ (each * weight[:, None]) / square + prior)[0, 0])
+        for each in (A, steady)
+    )
+    curved = _DRIFT_SHARE * float(fit[3] * (turned @ u) / (u @ u))
+    # what no current explains is one error all through the log
+    misfit = max((_LEEWAY_SHARE * math.hypot(fit[1], fit[2])) ** 2, 1e-9 * speed**2)
+    uneven = float(np.linalg.pinv(steady.T @ steady / (len(u) * misfit) + prior)[0, 0])
+    return math.atan(fit[0]), math.sqrt(variance + curved**2 + uneven + _CRAB**2)
 
 
 class _Along(NamedTuple):
@@ -288,6 +388,8 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
     """Return a finding where the track goes off to one side of the compass, or astern."""
     if _is_ahead(plain, fit):
         fit = plain  # course and heading agree by themselves, and the commands are wrong
+    if fit.is_known and abs(fit.legs) < _ASTERN:
+        return _off_legs(recording, fit)
     off = fit.left < _EXPLAINED and abs(fit.steady) > _OFFSET_STRAIGHT
     if fit.along < _MIRROR and not off:
         return []
@@ -323,6 +425,20 @@ def _off(recording: Recording, plain: TrackFit, fit: TrackFit, commands: int) ->
     )
     severity = WARNING if far or (seen and not few) else NOTE
     return [Finding(severity, "compass-offset", what, remedy, fit._asdict())]
+
+
+def _off_legs(recording: Recording, fit: TrackFit) -> list[Finding]:
+    """Return a finding where legs in several directions say that the compass is off."""
+    if abs(fit.legs) < max(_OFF, _OFF_SURE * fit.legs_sd):
+        return []
+    degrees = math.degrees(fit.legs)
+    what = (
+        f"{recording.called('compass_rad')}: the track goes {abs(degrees):.0f} degrees "
+        f"(standard deviation {math.degrees(fit.legs_sd):.0f}) to the "
+        f"{'right' if degrees > 0.0 else 'left'} of the compass, in any direction"
+    )
+    remedy = f"offset = {fit.legs:.3f} in a mapping (magnetic variation, or a sensor askew)"
+    return [Finding(WARNING, "compass-offset", what, remedy, fit._asdict())]
 
 
 def _is_ahead(plain: TrackFit, fit: TrackFit) -> bool:
