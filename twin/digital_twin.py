@@ -327,8 +327,8 @@ class Twin:
         current = predictor.current() if monitor.wants_current(dt) else None
         z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready, current)
         predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
-        if (surge := monitor.new_surge) is not None:
-            predictor.restart_surge(surge)
+        if (restart := monitor.restart) is not None:
+            predictor.restart_velocity(*restart)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
         if predictor.lost:

@@ -95,8 +95,8 @@ NAVIGATION = np.dtype(
         ("trial", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while sensors of the motion are at fault and left out
-        ("surge_known", "f8"),  # 1 in a row in which the surge begins again ...
-        ("surge", "f8"),  # ... with this, m/s
+        ("restarts", "f8", 2),  # 1 in a row in which surge or sway begin again ...
+        ("restarted", "f8", 2),  # ... with this, m/s
     ]
 )
 """What the filter of a boat remembers."""
@@ -104,7 +104,7 @@ NAVIGATION = np.dtype(
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
     **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
-    **dict.fromkeys(("commands_doubted", "motion_doubted", "surge_known"), FLAG),
+    **dict.fromkeys(("commands_doubted", "motion_doubted", "restarts"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
     **dict.fromkeys(("since_lost", "unsettled"), Field(low=0.0)),

@@ -37,6 +37,7 @@ from twin.health.state import (
     DOUBTFUL,
     DRIVE,
     EXCLUDED,
+    GPS,
     HYPOTHESES,
     IMPOSSIBLE,
     N_COMMANDS,
@@ -179,7 +180,7 @@ def _is_sign_wrong(T, health):
         sd = math.sqrt(CORRELATED_STEPS * max(given.P[YAW, k, k], 0.0))
         wrong = wrong or given.x[YAW, k] < -certain * sd
     thrust, u = thrust_of(health.mean_drive), health.motion[1]
-    if check.status == EXCLUDED:
+    if check.status == EXCLUDED or _is_surge_unknown(health):
         health.against_time = 0.0
     elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
         health.against_time = min(health.against_time + T, 2.0 * AGAINST_TIME)
@@ -221,6 +222,12 @@ def _is_idle(health):
 
 
 @inlined
+def _is_surge_unknown(health):
+    """Return whether there is no GPS: the yaw rate alone then says what the commands do."""
+    return health.sensors[GPS].status == ABSENT and health.sensors[GPS].interval > 0.0
+
+
+@inlined
 def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
@@ -236,6 +243,9 @@ def _step_filters(length, idle, health):
         if k != force and health.evidence[k] <= 0.0:
             copy_filter(health, k, force)
     square = 0.0
+    axes = 1 if _is_surge_unknown(health) else 2
+    if axes == 1:
+        restart_motion(SURGE, health)
     for i in range(HYPOTHESES):
         # the hypothesis in force last: the others are weighed by the level before
         k = i if i < force else i + 1
@@ -243,11 +253,11 @@ def _step_filters(length, idle, health):
             k = force
         motion = health.filters[k].x[YAW, 0], health.filters[k].x[SURGE, 0]
         health.likelihood[k] = 0.0
-        for axis in range(2):
+        for axis in range(axes):
             innovation, S = step_filter(axis, k, motion, length, learn, health)
             health.likelihood[k] += log_likelihood(innovation, S)
             if k == force:
-                square += 0.5 * min(innovation * innovation / S, SQUARE_MAX)
+                square += min(innovation * innovation / S, SQUARE_MAX) / axes
                 if not suspected:
                     _learn_level(axis, innovation, S, health)
     health.mismatch += (square - health.mismatch) / RECENT
@@ -335,16 +345,17 @@ def _end_step(s, step, health, given):
         health.drive_sum[k] = 0.0
     health.step_time = 0.0
     sway = s[V] / given.speed
-    health.mean_sway = 0.5 * (health.sway + sway)
+    # without GPS, nothing bounds the sway
+    health.mean_sway = 0.0 if _is_surge_unknown(health) else 0.5 * (health.sway + sway)
     health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
     health.sway = sway
     if STEP_LONG * step < T:
-        restart_motion(health)
+        restart_motion(YAW, health)
         return
     length, warm = step / given.time_scale, health.steps > WARM_UP
     if health.steps == 0.0:
         begin_filters(health, length)
-        restart_motion(health)
+        restart_motion(YAW, health)
         health.wave_level[YAW] = health.wave_level[SURGE] = LEVEL_FIRST
         health.hypothesis = AS_GIVEN
         health.steps = 1.0
@@ -398,7 +409,7 @@ def _is_motion_known(dt, health):
         return False
     for sensor in range(ACCELEROMETERS):
         check = health.sensors[sensor]
-        never = check.status == ABSENT and check.interval == 0.0
+        never = check.status == ABSENT and (check.interval == 0.0 or sensor == GPS)
         # a doubtful GPS is used
         known = known and (check.status == OK or check.status == DOUBTFUL or never)
     health.known_time = health.known_time + dt if known else 0.0
@@ -439,7 +450,7 @@ def _begin_step(s, health, given):
         health.drive_sum[k] = 0.0
     health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
     health.sway = s[V] / given.speed
-    restart_motion(health)
+    restart_motion(YAW, health)
 
 
 @kernel

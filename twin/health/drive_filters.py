@@ -198,10 +198,10 @@ def copy_filter(health, k, source):
 
 
 @kernel
-def restart_motion(health):
-    """Begin again from the present motion, after a gap."""
+def restart_motion(first, health):
+    """Begin again from the present motion, after a gap: yaw rate and surge, or surge alone."""
     for k in range(HYPOTHESES):
-        for axis in range(2):
+        for axis in range(first, 2):
             x, P = health.filters[k].x[axis], health.filters[k].P[axis]
             x[0] = health.motion[axis]
             for j in range(FILTER_STATES):

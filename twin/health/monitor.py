@@ -37,10 +37,7 @@ __all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
 Array = NDArray[Any]
 
 
-_CLOCK, _DUE, _FOUND = (
-    field_at(HEALTH, name) for name in ("clock", "current_due", "unaided_found")
-)
-_SPEED = field_at(HEALTH_SETTINGS, "speed")
+_CLOCK, _DUE, _RESTARTS = (field_at(HEALTH, name) for name in ("clock", "current_due", "restarts"))
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
@@ -62,6 +59,7 @@ _LATER = (
     "gyro_scale",
     "course_for_compass",
     "unaided",
+    "restart",
     "row_interval",
     "row_gap",
     "gap_way",
@@ -165,11 +163,14 @@ class SensorMonitor:
         return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED or unaided)
 
     @property
-    def new_surge(self) -> float | None:
-        """Surge by the commands, m/s, in the row in which accelerometers are found at fault."""
-        if self.memory[_FOUND] == 0.0:
+    def restart(self) -> tuple[Array, Array] | None:
+        """Which of surge and sway begin again after this row, and with what, m/s.
+
+        See :meth:`twin.predictors.base.Predictor.restart_velocity`; None where none does.
+        """
+        if self.memory[_RESTARTS] == 0.0 and self.memory[_RESTARTS + 1] == 0.0:
             return None
-        return float(self.record["unaided_surge"] * self._settings[_SPEED])
+        return self.record["restarts"], self.record["restarted"]
 
     def wants_current(self, dt: float) -> bool:
         """Return whether the next row, after dt s, looks at the current of the model."""

@@ -242,8 +242,11 @@ HEALTH = np.dtype(
         ("velocity_longest", "f8"),  # longest repetition while it was right, s
         # accelerometers against the commands
         ("unaided_surge", "f8"),  # surge by the commands alone, in nominal speeds
-        ("unaided_found", "f8"),  # 1 in the row in which accelerometers are left out for it
+        ("restarts", "f8", 2),  # 1 in the row in which surge or sway begin again ...
+        ("restarted", "f8", 2),  # ... with this, m/s
         ("unaided_bias", "f8", 2),  # mean of acceleration measured minus expected, m/s2
+        ("unaided_gain", "f8", 2),  # leaky sums of the acceleration measured, m/s ...
+        ("unaided_agreed", "f8", 2),  # ... when it last agreed with that expected, m/s
         ("unaided_sum", "f8", 2),  # leaky sums of what it differs from that, m/s
         ("unaided_level", "f8", 2),  # their typical sizes, m/s
         # velocity of the water by the model, and whether it is plausible

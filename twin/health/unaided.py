@@ -27,6 +27,7 @@ from twin.health.state import (
     COMMAND,
     EXCLUDED,
     GPS,
+    NO_ANSWER,
     NO_REASON,
     OK,
 )
@@ -49,6 +50,9 @@ bias of the data sheet that is left of it."""
 MARGIN = 1.25
 """Factor of the alarm: the model of thrust and drag is rougher than a sensor."""
 
+SWAY_MOST = 0.3
+"""Most sway that is believed, in nominal speeds: accelerometers at fault make more."""
+
 STEP_MAX = 2.0
 """After a longer gap (s) the sums begin again."""
 
@@ -64,20 +68,36 @@ def _expected(dt, s, health, given):
     """
     if health.steps <= WARM_UP or dt > STEP_MAX:
         health.unaided_surge = s[U] / given.speed
-    r, v = s[R] * given.time_scale, s[V] / given.speed
+    r = s[R] * given.time_scale
+    v = min(max(s[V] / given.speed, -SWAY_MOST), SWAY_MOST)
     change = surge_change(health.unaided_surge, v, r, health) / step_seconds(given)
     surge = health.unaided_surge + change * dt
     health.unaided_surge = min(max(surge, -MOTION_MAX), MOTION_MAX)
-    return change * given.speed - s[V] * s[R], health.unaided_surge * given.speed * s[R]
+    ahead = (change - v * s[R]) * given.speed
+    return ahead, health.unaided_surge * given.speed * s[R]
 
 
 @inlined
-def _decide(size, dt, health):
-    """Leave the accelerometers out, or take them back; ``size`` is the larger sum, in levels."""
+def _decide(size, dt, s, health, given):
+    """Leave accelerometers or commands out, or take the former back.
+
+    ``size`` is that of the larger sum, in levels. Where measured and expected velocity part ahead
+    alone, the one that changed more since they agreed is at fault.
+    """
     accel = health.sensors[ACCELEROMETERS]
     if accel.status == OK and is_fault(size, MARGIN, dt, accel):
+        change = health.unaided_gain[0] - health.unaided_agreed[0]
+        aside = abs(health.unaided_sum[1]) > CLEAR * health.unaided_level[1]
+        if not aside and abs(change - health.unaided_sum[0]) > abs(change):
+            set_status(health, COMMAND, EXCLUDED, NO_ANSWER)
+            health.unaided_surge = s[U] / given.speed
+            accel.evidence = 0.0
+            return
         set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)
-        health.unaided_found = 1.0
+        for k in range(2):
+            apart = abs(health.unaided_sum[k]) > CLEAR * health.unaided_level[k]
+            health.restarts[k] = 1.0 if apart else 0.0
+        health.restarted[0], health.restarted[1] = health.unaided_surge * given.speed, 0.0
     elif accel.status == EXCLUDED:
         accel.calm = accel.calm + dt if size < CLEAR and not is_frozen(accel) else 0.0
         if accel.calm > CALM + SUM_TIME:
@@ -87,7 +107,7 @@ def _decide(size, dt, health):
 @kernel
 def check_unaided(dt, z, s, ready, health, given):
     """Hold accelerometers against commands; see :func:`twin.health.checks.check_sensors`."""
-    health.unaided_found = 0.0
+    health.restarts[0] = health.restarts[1] = 0.0
     known = health.sensors[COMMAND].status == OK and health.steps > WARM_UP
     expected = _expected(dt, s, health, given)
     if not (ready and known) or dt > STEP_MAX:
@@ -99,7 +119,9 @@ def check_unaided(dt, z, s, ready, health, given):
     floor = FLOOR + (KNOWN * given.accel_bias_sd + given.tilt) * SUM_TIME
     fade, most = math.exp(-dt / SUM_TIME), 0.0
     for k in range(2):
-        more = z[ACCEL_X + k] - expected[k] - health.unaided_bias[k]
+        measured = z[ACCEL_X + k] - health.unaided_bias[k]
+        more = measured - expected[k]
+        health.unaided_gain[k] = health.unaided_gain[k] * fade + measured * dt
         if learn:
             health.unaided_bias[k] += more * min(dt / BIAS_TIME, LEVEL_SHARE)
         total = health.unaided_sum[k] * fade + more * dt
@@ -107,6 +129,9 @@ def check_unaided(dt, z, s, ready, health, given):
         level = typical_size(level, abs(total), floor, dt, health.clock, learn)
         health.unaided_level[k] = level
         health.unaided_sum[k] = total * limited(abs(total), level)
-        most = max(most, abs(health.unaided_sum[k]) / level)
+        size = abs(health.unaided_sum[k]) / level
+        if size < CLEAR:
+            health.unaided_agreed[k] = health.unaided_gain[k]
+        most = max(most, size)
     if health.velocity_time > NO_VELOCITY or health.sensors[GPS].status == EXCLUDED:
-        _decide(most, dt, health)
+        _decide(most, dt, s, health, given)

@@ -327,10 +327,15 @@ class Predictor(ABC):
         """
         return
 
-    def restart_surge(self, surge: float) -> None:
-        """Begin again with a surge (m/s): without GPS, the accelerometers are found at fault.
+    def restart_velocity(self, axes: Array, velocity: Array) -> None:
+        """Begin again with other velocities: without GPS, the accelerometers are found at fault.
 
         A predictor without a navigation of its own has nothing to do.
+
+        Parameters
+        ----------
+        axes, velocity : ndarray, shape (2,)
+            Whether surge and sway begin again (1 or 0), and with what, m/s.
         """
         return
 

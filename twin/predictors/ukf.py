@@ -60,7 +60,7 @@ from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.model_aid import aid_by_model
-from twin.predictors.without_gps import restart_surge, try_open_loop, widen_without_gps
+from twin.predictors.without_gps import restart_velocity, try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -286,7 +286,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     if has_diverged(outage, nav, state, given):
         restart_state(dt, cmd, nav, state, given)
         return
-    restart_surge(nav, nav_work, state, given)
+    restart_velocity(nav, nav_work, state, given)
     correct(dt, cmd, nav, state, given, model, scratch)
     no_gps = lacks_gps(nav)
     try_open_loop(dt, nav, state, given, model, scratch.terms)
@@ -579,9 +579,9 @@ class UKFPredictor(ModelPredictor):
         self._nav["commands_doubted"] = 1.0 if commands else 0.0
         self._nav["motion_doubted"] = 1.0 if motion else 0.0
 
-    def restart_surge(self, surge: float) -> None:
-        """See :meth:`twin.predictors.base.Predictor.restart_surge`."""
-        self._nav["surge_known"], self._nav["surge"] = 1.0, surge
+    def restart_velocity(self, axes: Array, velocity: Array) -> None:
+        """See :meth:`twin.predictors.base.Predictor.restart_velocity`."""
+        self._nav["restarts"], self._nav["restarted"] = axes, velocity
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

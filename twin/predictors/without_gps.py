@@ -12,7 +12,7 @@ from twin.model.structure import CURRENT, N_STATES, current_of
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
-__all__ = ["restart_surge", "try_open_loop", "widen_without_gps"]
+__all__ = ["restart_velocity", "try_open_loop", "widen_without_gps"]
 
 FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
@@ -38,8 +38,9 @@ BIAS_SD, BIAS_TIME = 0.7, 3.0
 """Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
 it takes to find them."""
 
-SURGE_SD = 0.15
-"""Standard deviation of the surge by the commands alone, in nominal speeds."""
+RESTART_SD = 0.15, 0.2
+"""Standard deviations of surge by the commands alone, and of a sway taken for zero, in nominal
+speeds."""
 
 UNTURNED = 0.12
 """Standard deviation of the current along the course that a boat with a rough model has kept, in
@@ -91,18 +92,18 @@ def try_open_loop(dt, nav, state, given, model, terms):
 
 
 @inlined
-def restart_surge(nav, work, state, given):
+def restart_velocity(nav, work, state, given):
     """Take back what accelerometers did that are found at fault now, without GPS.
 
-    The surge begins again with that of the commands. As a bias moves velocity and position
-    together, this takes back the way as well.
+    Surge or sway begin again. As a bias moves velocity and position together, this takes back the
+    way as well.
     """
-    if nav.surge_known == 0.0:
-        return
-    nav.surge_known = 0.0
     P, c, s = nav.P, math.cos(nav.n[PSI]), math.sin(nav.n[PSI])
     faster, moved = BIAS_SD * BIAS_TIME, 0.5 * BIAS_SD * BIAS_TIME**2
     for axis in range(2):
+        if nav.restarts[axis] == 0.0:
+            continue
+        nav.restarts[axis] = 0.0
         i, north, east = U + axis, moved * c, moved * s
         if axis == 1:
             north, east = -east, north
@@ -114,11 +115,11 @@ def restart_surge(nav, work, state, given):
         P[Y, i] += east * faster
         P[i, X], P[i, Y] = P[X, i], P[Y, i]
         P[i, i] += faster * faster
-    sd = SURGE_SD * 0.25 * given.envelope[0]
-    aid(nav, work, U, nav.surge, sd * sd)
-    for k in range(state.x.shape[0]):
-        state.P[U, k] = state.P[k, U] = 0.0
-    state.x[U], state.P[U, U] = nav.surge, sd * sd
+        sd = RESTART_SD[axis] * 0.25 * given.envelope[0]
+        aid(nav, work, i, nav.restarted[axis], sd * sd)
+        for k in range(state.x.shape[0]):
+            state.P[i, k] = state.P[k, i] = 0.0
+        state.x[i], state.P[i, i] = nav.restarted[axis], sd * sd
 
 
 @inlined

@@ -284,8 +284,9 @@ def _check_row(dt, boat, note, nav, filtered, model, given):
     check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = 1.0 if is_motion_doubted(health) else 0.0
-    if health.unaided_found > 0.0:
-        nav.surge_known, nav.surge = 1.0, health.unaided_surge * given.speed
+    for axis in range(2):
+        if health.restarts[axis] > 0.0:
+            nav.restarts[axis], nav.restarted[axis] = 1.0, health.restarted[axis]
     for k in range(N_ACT):
         note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
 
