@@ -23,6 +23,7 @@ from twin.health.drive_filters import (
     YAW,
     begin_filters,
     copy_filter,
+    is_surge_unknown,
     log_likelihood,
     restart_motion,
     step_filter,
@@ -180,7 +181,7 @@ def _is_sign_wrong(T, health):
         sd = math.sqrt(CORRELATED_STEPS * max(given.P[YAW, k, k], 0.0))
         wrong = wrong or given.x[YAW, k] < -certain * sd
     thrust, u = thrust_of(health.mean_drive), health.motion[1]
-    if check.status == EXCLUDED or _is_surge_unknown(health):
+    if check.status == EXCLUDED or is_surge_unknown(health):
         health.against_time = 0.0
     elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
         health.against_time = min(health.against_time + T, 2.0 * AGAINST_TIME)
@@ -222,12 +223,6 @@ def _is_idle(health):
 
 
 @inlined
-def _is_surge_unknown(health):
-    """Return whether there is no GPS: the yaw rate alone then says what the commands do."""
-    return health.sensors[GPS].status == ABSENT and health.sensors[GPS].interval > 0.0
-
-
-@inlined
 def _step_filters(length, idle, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
@@ -237,13 +232,13 @@ def _step_filters(length, idle, health):
     at_odds = health.mismatch > AT_ODDS_ABOVE or stop_doubted
     health.at_odds_steps = health.at_odds_steps + 1.0 if at_odds else 0.0
     held = at_odds and health.at_odds_steps <= HELD_STEPS
-    learn = health.sensors[COMMAND].status != EXCLUDED and not held and not idle
+    axes = 1 if is_surge_unknown(health) else 2
+    learn = health.sensors[COMMAND].status != EXCLUDED and not held and not idle and axes == 2
     suspected = not learn or health.evidence[_strongest(health)] > LEVEL_SUSPECT
     for k in range(HYPOTHESES):
         if k != force and health.evidence[k] <= 0.0:
             copy_filter(health, k, force)
     square = 0.0
-    axes = 1 if _is_surge_unknown(health) else 2
     if axes == 1:
         restart_motion(SURGE, health)
     for i in range(HYPOTHESES):
@@ -290,7 +285,9 @@ def _conclude(wrong, health):
     if health.evidence[best] > (DECIDED_STOP if best == HELD else DECIDED):
         _put_in_force(best, health)
     elif check.status == EXCLUDED:
-        agreed = force == HELD and health.at_rest == 0.0 and health.mismatch < AGREED
+        # those found without GPS have no hypothesis
+        again = health.at_rest == 0.0 if force == HELD else not is_surge_unknown(health)
+        agreed = force in (AS_GIVEN, HELD) and again and health.mismatch < AGREED
         check.calm = check.calm + 1.0 if agreed else 0.0
         if check.calm > CALM_STEPS:
             _put_in_force(AS_GIVEN, health)
@@ -345,8 +342,7 @@ def _end_step(s, step, health, given):
         health.drive_sum[k] = 0.0
     health.step_time = 0.0
     sway = s[V] / given.speed
-    # without GPS, nothing bounds the sway
-    health.mean_sway = 0.0 if _is_surge_unknown(health) else 0.5 * (health.sway + sway)
+    health.mean_sway = 0.0 if is_surge_unknown(health) else 0.5 * (health.sway + sway)
     health.motion[YAW], health.motion[SURGE] = s[R] * given.time_scale, s[U] / given.speed
     health.sway = sway
     if STEP_LONG * step < T:
@@ -412,6 +408,9 @@ def _is_motion_known(dt, health):
         never = check.status == ABSENT and (check.interval == 0.0 or sensor == GPS)
         # a doubtful GPS is used
         known = known and (check.status == OK or check.status == DOUBTFUL or never)
+    # with the first fixes after a loss the velocity jumps
+    gps = health.sensors[GPS]
+    known = known and not (gps.status == OK and health.clock - gps.since < KNOWN_TIME)
     health.known_time = health.known_time + dt if known else 0.0
     return health.known_time > KNOWN_TIME
 

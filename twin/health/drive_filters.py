@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from twin.health.state import COMMAND_TERMS, FILTER_STATES, HYPOTHESES
+from twin.health.state import ABSENT, COMMAND_TERMS, FILTER_STATES, GPS, HYPOTHESES
 from usv_kernel.jit import inlined, kernel
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "YAW",
     "begin_filters",
     "copy_filter",
+    "is_surge_unknown",
     "log_likelihood",
     "restart_motion",
     "step_filter",
@@ -61,8 +62,8 @@ EFFECTS = np.array(
 
 AS_GIVEN, SIDES_SWAPPED, LEFT_DEAD, RIGHT_DEAD, HELD = 0, 4, 5, 6, 7
 
-THRUST, MOMENT, DIFFERENCE = 3, 3, 4
-"""Places of the commands' effects in a filter's state: thrust of surge, the others of yaw."""
+THRUST, MOMENT, DIFFERENCE, DRIFT = 3, 3, 4, 5
+"""Places of effects in a filter's state: thrust of surge, the others of yaw."""
 
 LEFT_THRUST, LEFT_MOMENT = 0, 2
 """Places in the drive of what the left side makes; that of the right side follows."""
@@ -107,6 +108,9 @@ UNKNOWN_THRUST, UNKNOWN_STEERING = 0.3, 0.4
 """Standard deviations of thrust and steering about those of before, in nominal thrusts, where
 shafts are said to be at rest and are not."""
 
+UNKNOWN_SWAY = 0.2
+"""Standard deviation of the sway without GPS, in nominal speeds; it is taken for zero."""
+
 SCALE_KNOWN, SCALE_MIN = 0.2, 0.03
 """Once learned, the acceleration by thrust is known to this share of it, or of the least of any
 boat: at a constant speed thrust and drag could else both fade, and explain anything."""
@@ -131,6 +135,12 @@ def _effect(kind, k, drive):
     """Return what a hypothesis makes of the drive: thrust, steering moment or difference."""
     first = LEFT_MOMENT if kind == 1 else LEFT_THRUST
     return EFFECTS[k, kind, 0] * drive[first] + EFFECTS[k, kind, 1] * drive[first + 1]
+
+
+@inlined
+def is_surge_unknown(health):
+    """Return whether there is no GPS: the yaw rate alone then says what the commands do."""
+    return health.sensors[GPS].status == ABSENT and health.sensors[GPS].interval > 0.0
 
 
 @inlined
@@ -277,6 +287,8 @@ def step_filter(axis, k, motion, length, learn, health):
     variance = decay * decay * P[0, 0] + (MODEL_SHARE * level) ** 2
     if stopped:
         variance += (BRAKE_SD * x[THRUST] * abs(u)) ** 2
+    if axis == YAW and is_surge_unknown(health):
+        variance += (UNKNOWN_SWAY * x[DRIFT] * u) ** 2
     if k == HELD and health.at_rest > 0.0:
         if axis == YAW:
             variance += UNKNOWN_STEERING**2 * (x[MOMENT] ** 2 + x[DIFFERENCE] ** 2)

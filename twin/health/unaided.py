@@ -51,7 +51,8 @@ MARGIN = 1.25
 """Factor of the alarm: the model of thrust and drag is rougher than a sensor."""
 
 SWAY_MOST = 0.3
-"""Most sway that is believed, in nominal speeds: accelerometers at fault make more."""
+"""Most sway that is believed without a velocity over ground, in nominal speeds: accelerometers at
+fault make more."""
 
 STEP_MAX = 2.0
 """After a longer gap (s) the sums begin again."""
@@ -69,7 +70,8 @@ def _expected(dt, s, health, given):
     if health.steps <= WARM_UP or dt > STEP_MAX:
         health.unaided_surge = s[U] / given.speed
     r = s[R] * given.time_scale
-    v = min(max(s[V] / given.speed, -SWAY_MOST), SWAY_MOST)
+    most = SWAY_MOST if health.velocity_time > NO_VELOCITY else MOTION_MAX
+    v = min(max(s[V] / given.speed, -most), most)
     change = surge_change(health.unaided_surge, v, r, health) / step_seconds(given)
     surge = health.unaided_surge + change * dt
     health.unaided_surge = min(max(surge, -MOTION_MAX), MOTION_MAX)
