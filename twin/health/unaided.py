@@ -57,6 +57,10 @@ fault make more."""
 STEP_MAX = 2.0
 """After a longer gap (s) the sums begin again."""
 
+UNMOVED = 2.0
+"""Commands are at fault where the velocity expected changed so many times as much as that measured:
+the boat goes on as before."""
+
 NO_VELOCITY = 3.0
 """A boat is unaided after so long without a velocity over ground, s."""
 
@@ -84,13 +88,13 @@ def _decide(size, dt, s, health, given):
     """Leave accelerometers or commands out, or take the former back.
 
     ``size`` is that of the larger sum, in levels. Where measured and expected velocity part ahead
-    alone, the one that changed more since they agreed is at fault.
+    alone, commands are at fault if what is measured hardly changed since they agreed.
     """
     accel = health.sensors[ACCELEROMETERS]
     if accel.status == OK and is_fault(size, MARGIN, dt, accel):
         change = health.unaided_gain[0] - health.unaided_agreed[0]
         aside = abs(health.unaided_sum[1]) > CLEAR * health.unaided_level[1]
-        if not aside and abs(change - health.unaided_sum[0]) > abs(change):
+        if not aside and abs(change - health.unaided_sum[0]) > UNMOVED * abs(change):
             set_status(health, COMMAND, EXCLUDED, NO_ANSWER)
             health.unaided_surge = s[U] / given.speed
             accel.evidence = 0.0
