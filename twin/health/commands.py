@@ -410,7 +410,7 @@ def _is_motion_known(dt, health):
         known = known and (check.status == OK or check.status == DOUBTFUL or never)
     # with the first fixes after a loss the velocity jumps
     gps = health.sensors[GPS]
-    known = known and not (gps.status == OK and health.clock - gps.since < KNOWN_TIME)
+    known = known and not (gps.status == OK and gps.since == health.clock)
     health.known_time = health.known_time + dt if known else 0.0
     return health.known_time > KNOWN_TIME
 
