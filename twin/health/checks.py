@@ -7,8 +7,9 @@ sensor, or the shape of the fault, says whose fault it is.
 from __future__ import annotations
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.health.commands import CHANGED, check_commands
 from twin.health.current import check_current
+from twin.health.drives.commands import CHANGED, check_commands
+from twin.health.drives.unaided import check_unaided
 from twin.health.heading import check_course, check_heading, turn_to_now
 from twin.health.position import check_position
 from twin.health.samples import (
@@ -32,7 +33,6 @@ from twin.health.state import (
     N_STATES,
     NO_ANSWER,
 )
-from twin.health.unaided import check_unaided
 from twin.health.velocity import check_velocity
 from twin.health.wind import check_wind
 from usv_kernel.jit import inlined, kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from twin.health.drive_filters import SURGE
+from twin.health.drives.filters import SURGE
 from twin.health.evidence import set_status
 from twin.health.state import (
     CURRENT_CHANGES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.channels import U
-from twin.health.drive_filters import thrust_of
+from twin.health.drives.filters import thrust_of
 from twin.health.evidence import GIVE_IN
 from twin.health.state import ACCELEROMETERS, EXCLUDED, FROZEN, GPS, OK
 from usv_kernel.channels import GPS_VX, GPS_X

@@ -166,7 +166,7 @@ FILTER = np.dtype(
         ("P", "f8", (2, FILTER_STATES, FILTER_STATES)),  # their covariance
     ]
 )
-"""The filters of yaw and surge by one hypothesis; see ``twin.health.drive_filters``."""
+"""The filters of yaw and surge by one hypothesis; see ``twin.health.drives.filters``."""
 
 TURN_RING = 16
 """Samples of the turn that are kept for a compass that comes late; they reach back further than it

@@ -46,12 +46,7 @@ from twin.predictors.plus_forecast import (
     plus_mean,
 )
 from twin.predictors.plus_update import PlusMemory, plus_config_of, plus_step, plus_work_of
-from twin.predictors.ukf import (
-    UKFConfig,
-    UKFMemory,
-    UKFWork,
-    tight_step,
-)
+from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from twin.sim.forecast_scores import (
     Buffers,
     grade_by_model,

@@ -360,51 +360,6 @@ SENSOR_OF = {**dict.fromkeys(SENSOR_CHANNELS[:4], "gps"), "compass_rad": "compas
 }
 
 
-@vessels
-@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
-@pytest.mark.parametrize("bias", [-1.0, 0.0, 1.0])
-def test_without_gps_the_commands_name_the_accelerometers(bias, manoeuvre, vessel):
-    """No boat goes on accelerating; and what it errs stays below what the bias would make."""
-
-    def change(rows: Rows) -> None:
-        rows.z[:, : GPS_VY + 1] = math.nan
-        rows.z[rows.since > 10.0, ACCEL_X] += bias
-
-    log, twin, first = base(manoeuvre, vessel)
-    start = START + 35.0  # thrust and drag are then known
-    faulty = inject(log, fault(change, 40.0), start, seed=1)
-    twin, end = copy.deepcopy(twin), int(np.searchsorted(log.t, start + 40.0))
-    found = watch(twin, faulty, first, end)
-    if bias == 0.0:
-        assert not found.named
-        return
-    assert found.named == {"accelerometers"}, found.findings
-    assert 45.0 < found.first("accelerometers") < 52.0, found.findings
-    assert log.truth is not None
-    # without the way taken back, a bias makes 30 m; without the check, over 100
-    assert math.dist(twin.estimate().state[:2], log.truth[end - 1, :2]) < 10.0
-    assert set(watch(twin, faulty, end).last.values()) == {"ok"}
-
-
-@pytest.mark.parametrize("vessel", ["usv75", "otter"])
-def test_without_gps_reversed_commands_are_not_blamed_on_the_accelerometers(vessel):
-    """What is measured goes on as before; what is expected changed."""
-
-    def change(rows: Rows) -> None:
-        rows.z[:, : GPS_VY + 1] = math.nan
-        rows.cmd[rows.since > 10.0] *= -1.0
-
-    log, twin, first = base("zigzag", vessel)
-    start = START + 35.0
-    faulty = inject(log, fault(change, 30.0), start, seed=1)
-    twin, end = copy.deepcopy(twin), int(np.searchsorted(log.t, start + 30.0))
-    found = watch(twin, faulty, first, end)
-    assert found.named == {"commands"}, found.findings
-    assert 45.0 < found.first("commands") < 51.0, found.findings
-    # they are right again, and the fixes say so
-    assert set(watch(twin, faulty, end).last.values()) == {"ok"}
-
-
 @pytest.mark.parametrize("channel", SENSOR_CHANNELS)
 @settings(max_examples=3, derandomize=True)
 @given(manoeuvres, signs, size(1e8, 1e300))

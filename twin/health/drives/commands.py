@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from twin.channels import R, U, V
-from twin.health.drive_filters import (
+from twin.health.drives.filters import (
     AS_GIVEN,
     DIFFERENCE,
     HELD,

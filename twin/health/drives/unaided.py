@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from twin.channels import R, U, V
-from twin.health.commands import step_seconds
-from twin.health.drive_filters import MOTION_MAX, WARM_UP, surge_change
+from twin.health.drives.commands import step_seconds
+from twin.health.drives.filters import MOTION_MAX, WARM_UP, surge_change
 from twin.health.evidence import (
     CALM,
     CLEAR,
@@ -51,7 +51,7 @@ MARGIN = 1.25
 """Factor of the alarm: the model of thrust and drag is rougher than a sensor."""
 
 SWAY_MOST = 0.3
-"""Most sway that is believed without a velocity over ground, in nominal speeds: accelerometers at
+"""Most sway that is possible without a velocity over ground, in nominal speeds: accelerometers at
 fault make more."""
 
 STEP_MAX = 2.0

@@ -1,0 +1,1 @@
+"""Checks that hold the commands against the motion, and the motion against the commands."""
