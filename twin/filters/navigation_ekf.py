@@ -118,6 +118,14 @@ _SHARP = 1e6
 """A correction that shrinks a variance by more than this may leave rounding behind. That of a gyro
 shrinks the yaw rate's by 2e4 in every row, which leaves none that counts."""
 
+BIAS_SD, BIAS_TIME = 0.7, 3.0
+"""Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
+it takes to find them."""
+
+RESTART_SD = 0.15, 0.2
+"""Standard deviations of a surge by the commands alone, and of a sway taken for zero, in nominal
+speeds."""
+
 _AIDED = 1e4
 """A model shrinks no variance by more than this."""
 
@@ -221,6 +229,33 @@ def aid(nav, work, entry, value, variance):
     work.H[entry] = 1.0
     variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, math.inf, 0.0)
+
+
+@inlined
+def _restart_velocity(nav, settings, work):
+    """Take back what accelerometers did that are found at fault now, without GPS.
+
+    Surge or sway begin again. As a bias moves velocity and position together, this takes back the
+    way as well.
+    """
+    P, c, s = nav.P, math.cos(nav.n[PSI]), math.sin(nav.n[PSI])
+    faster, moved = BIAS_SD * BIAS_TIME, 0.5 * BIAS_SD * BIAS_TIME**2
+    for axis in range(2):
+        if nav.restarts[axis] == 0.0:
+            continue
+        nav.restarts[axis] = 0.0
+        i, north, east = U + axis, moved * c, moved * s
+        if axis == 1:
+            north, east = -east, north
+        P[X, X] += north * north
+        P[Y, Y] += east * east
+        P[X, Y] += north * east
+        P[Y, X] = P[X, Y]
+        P[X, i] += north * faster
+        P[Y, i] += east * faster
+        P[i, X], P[i, Y] = P[X, i], P[Y, i]
+        P[i, i] += faster * faster
+        aid(nav, work, i, nav.restarted[axis], RESTART_SD[axis] ** 2 * settings.velocity_var_0)
 
 
 @inlined
@@ -437,6 +472,7 @@ def navigate(nav, dt, z, model, settings, work):
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
     nav.lost = 0.0
+    _restart_velocity(nav, settings, work)
     n, P, H = nav.n, nav.P, work.H
     dt = min(max(dt, 0.0), GAP_MAX)
     nav.clock += dt

@@ -91,6 +91,11 @@ class Navigator:
         check_fields(state, self._views(), NAVIGATION_FIELDS)
         fill(self._views(), state)
 
+    def restart_velocity(self, axes: Array, velocity: Array) -> None:
+        """Let surge or sway begin again; see ``twin.predictors.base.Predictor``."""
+        nav = self.memory.view(NAVIGATION)[0]
+        nav["restarts"], nav["restarted"] = axes, velocity
+
     @property
     def ready(self) -> bool:
         """True once a fix and a heading have come."""

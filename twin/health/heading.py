@@ -47,6 +47,9 @@ TURN_TIME, SCALE_TIME = 1.0, 3.0
 """What compass and gyro turned within the first (s) is compared in sign and size over the second
 (s): shorter, noise of the compass hides it; longer, few turns are left to compare."""
 
+TURNED = 9.0
+"""The compass must turn by more than its noise: so many times its variance."""
+
 CORRELATED = 0.8
 """Two turns are proportional if they share so much of their variance."""
 
@@ -173,21 +176,22 @@ def _forget_scale(health):
 
 
 @inlined
-def _gyro_scale(health):
+def _gyro_scale(health, given):
     """Return the turn of the compass over that of the gyro; NaN where they are not proportional."""
     sums = health.gyro_scale
     weight = max(sums.weight, TINY)
     c, g = sums.c / weight, sums.g / weight
     c_c, g_g = sums.c_c / weight - c * c, sums.g_g / weight - g * g
     c_g = sums.c_g / weight - c * g
-    proportional = g_g > 0.0 and c_g * c_g > CORRELATED * c_c * g_g
+    turned = c_c > TURNED * (given.compass_sd**2 + COMPASS_RESOLUTION**2)
+    proportional = turned and g_g > 0.0 and c_g * c_g > CORRELATED * c_c * g_g
     return c_g / g_g if proportional and sums.weight > 0.5 * SCALE_TIME else math.nan
 
 
 @inlined
-def _is_scale_wrong(health):
+def _is_scale_wrong(health, given):
     """Return whether compass and gyro turn as if one of them had the wrong sign or unit."""
-    scale = _gyro_scale(health)
+    scale = _gyro_scale(health, given)
     unit = abs(scale) > UNIT or abs(scale) < 1.0 / UNIT
     return REVERSED[0] < scale < REVERSED[1] or unit
 
@@ -199,22 +203,22 @@ def _is_course_known(health):
 
 
 @inlined
-def _course_errors(health):
+def _course_errors(health, given):
     """Return by how much the course turned otherwise than compass and gyro, rad.
 
     Where one of the two has the wrong sign or unit, either nothing or all is said against it.
     """
-    if _is_scale_wrong(health):
+    if _is_scale_wrong(health, given):
         said = health.course_for_compass
         return (math.inf if said < -WITNESS else 0.0), (math.inf if said > WITNESS else 0.0)
     return abs(health.course_minus_compass), abs(health.course_minus_gyro)
 
 
 @inlined
-def _vote_again(health):
+def _vote_again(health, given):
     """Exchange compass and gyro where the course has come to contradict the one in use."""
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
-    by_compass, by_gyro = _course_errors(health)
+    by_compass, by_gyro = _course_errors(health, given)
     if compass.status == EXCLUDED and by_gyro > VOTE_FREE + VOTE_FACTOR * by_compass:
         exclude(health, GYRO_SENSOR, AT_ODDS)
         set_status(health, COMPASS_SENSOR, OK, NO_REASON)
@@ -224,10 +228,10 @@ def _vote_again(health):
 
 
 @inlined
-def _vote(health):
+def _vote(health, given):
     """Leave out compass or gyro, by which of them the course over ground follows less."""
     compass = health.sensors[COMPASS_SENSOR]
-    by_compass, by_gyro = _course_errors(health)
+    by_compass, by_gyro = _course_errors(health, given)
     if compass.status == OK:
         set_status(health, COMPASS_SENSOR, DOUBTFUL, AT_ODDS)
         set_status(health, GYRO_SENSOR, DOUBTFUL, AT_ODDS)
@@ -261,22 +265,22 @@ def _find_fault(step, turned, T, frozen_compass, health, given):
         elif frozen_compass:
             exclude(health, COMPASS_SENSOR, FROZEN)
         else:
-            _vote(health)
+            _vote(health, given)
     elif compass.status == DOUBTFUL and size < CLEAR * level:
         set_status(health, COMPASS_SENSOR, OK, NO_REASON)
         set_status(health, GYRO_SENSOR, OK, NO_REASON)
 
 
 @inlined
-def _readmit_gyro(size, level, T, health):
+def _readmit_gyro(size, level, T, health, given):
     """Take the gyro back after it agreed with the compass for a while."""
     gyro = health.sensors[GYRO_SENSOR]
     consistent = size < CLEAR * level and not is_frozen(gyro)
-    if _is_scale_wrong(health) and health.sensors[COMPASS_SENSOR].status == OK:
+    if _is_scale_wrong(health, given) and health.sensors[COMPASS_SENSOR].status == OK:
         set_status(health, GYRO_SENSOR, EXCLUDED, WRONG_SCALE)
     # while the boat does not turn, wrong sign and unit do not show
     unseen = gyro.reason == WRONG_SCALE
-    unseen = unseen and not RIGHT_SCALE[0] < _gyro_scale(health) < RIGHT_SCALE[1]
+    unseen = unseen and not RIGHT_SCALE[0] < _gyro_scale(health, given) < RIGHT_SCALE[1]
     if not consistent:
         gyro.calm = 0.0
     elif not unseen:
@@ -332,9 +336,9 @@ def _hold_against_gyro(dt, heading, step, turned, frozen_compass, health, given)
     else:
         voted = compass.reason == AT_ODDS or gyro.reason == AT_ODDS or gyro.reason == WRONG_SCALE
         if size > ALARM * level and voted:
-            _vote_again(health)
+            _vote_again(health, given)
         if gyro.status == EXCLUDED:
-            _readmit_gyro(size, level, T, health)
+            _readmit_gyro(size, level, T, health, given)
     if compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
         _readmit_compass(heading, size, level, T, frozen_compass, health, given)
 

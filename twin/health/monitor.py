@@ -64,6 +64,7 @@ _LATER = (
     "row_gap",
     "gap_way",
     "stand_",
+    "since_leap",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""

@@ -17,7 +17,7 @@ from twin.health.evidence import (
     typical_size,
     velocity_step,
 )
-from twin.health.standing import are_fixes_standing, begin_standing, have_stood
+from twin.health.standing import are_fixes_standing, begin_standing, have_stood, note_leap
 from twin.health.state import (
     ACCELEROMETERS,
     COMPASS_SENSOR,
@@ -73,7 +73,8 @@ JUMP_MIN, JUMP_SHARE = 5.0, 0.5
 
 GATE, GATE_LOST = 0.05, 0.2
 """Growth of the distance from dead reckoning within which a GPS comes back, in nominal speeds:
-with a trusted heading, and without."""
+with a trusted heading, and without. The second is also that of one without velocity that was frozen
+and moves again."""
 
 LOST_TIME = 10.0
 """After a GPS that gave garbage, or was drawn away, is left out for so long (s), its fixes are
@@ -86,13 +87,18 @@ LATE_MOST, FAST = 8.0, 5.0
 """A GPS is late by less than this, s. Of a boat that sails faster than so many levels of its
 velocity, the accelerometers tell a late one."""
 
+CATCHING_UP = 0.1
+"""Error of the velocity of dead reckoning, in nominal speeds: frozen fixes that go on to the right
+place within seconds are faster."""
+
 CALM_VELOCITY = 3.0
 """After its velocity stepped, a GPS whose fixes were near dead reckoning for so long (s) is used
 without it."""
 
 CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
 """An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
-comes back after its fixes followed its velocity again for so long, wherever it is;
+comes back after its fixes followed its velocity again for so long, wherever it is. Where it gives
+none, it must move with the boat for the last time, and not be too far away;
 one that was left out for as long as nothing had been said against it, after the third time."""
 
 
@@ -191,7 +197,16 @@ def _is_released(z, jump, health, given):
 
 
 @inlined
-def _readmit(z, T, follows, frozen, health, given):
+def _is_catching_up(z, noise, health, given):
+    """Return whether fixes come nearer to dead reckoning faster than its velocity may err."""
+    x, y = z[GPS_X] - health.reckoned[0], z[GPS_Y] - health.reckoned[1]
+    nearer = -(health.position_sum[0] * x + health.position_sum[1] * y)
+    most = noise + CATCHING_UP * given.speed * health.sensors[GPS].followed
+    return nearer > most * math.hypot(x, y)
+
+
+@inlined
+def _readmit(z, T, follows, frozen, doppler, health, given):
     """Take the GPS back after it was near dead reckoning for a while.
 
     ``follows`` tells whether its fixes follow its velocity, if it gives one.
@@ -216,7 +231,9 @@ def _readmit(z, T, follows, frozen, health, given):
     if stepped and gps.calm > CALM_VELOCITY and gps.followed < CALM:
         set_status(health, GPS, DOUBTFUL, VELOCITY_WRONG)
         return
-    alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
+    likely = error < CLEAR * level + GATE_LOST * given.speed * lasted
+    alive = gps.followed > CALM_FROZEN if doppler else likely and gps.followed > CALM_LONG
+    alive = alive and gps.reason == FROZEN
     # dead reckoning is worth as much as the fixes from which it began
     most = min(max(gps.in_use, LOST_TIME), GIVE_IN)
     if gps.reason == RETURNING or gps.reason == RELEASED:
@@ -250,6 +267,7 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
 
     A predictor whose state is not ``possible`` is lost. Only fixes bring it back.
     """
+    note_leap(dt, z, health, given)
     doppler = _reckon(dt, z, s, health)
     gps = health.sensors[GPS]
     frozen = is_frozen(gps)
@@ -290,11 +308,16 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
     if jumped:
         begin_standing(health)
     standing = are_fixes_standing(z, s, T, health, given)
+    # dead reckoning since another fault may be wrong
+    asked = gps.status != EXCLUDED or gps.reason == FROZEN or gps.reason == DRIFTS
+    standing = standing and asked
     frozen = frozen or standing
     pull = _pull(step_x, step_y, T, health, given)
     follows = not (jumped or frozen)
     if doppler:
         follows = follows and size < CLEAR * level and pull < CLEAR
+    elif gps.status == EXCLUDED and gps.reason == FROZEN:
+        follows = follows and not _is_catching_up(z, noise, health, given)
     if gps.status == DOUBTFUL and gps.reason == VELOCITY_WRONG and not jumped:
         _take_velocity_back(T, follows, health)
     elif gps.status != EXCLUDED:
@@ -302,15 +325,17 @@ def check_position(dt, z, s, ready, possible, new_gps, health, given):
             jump = math.hypot(step_x, step_y)
             released = _is_released(z, jump, health, given)
             exclude(health, GPS, FROZEN if stood else RELEASED if released else JUMPED)
+            if stood:
+                gps.in_use = 0.0  # dead reckoning begins where the fixes stood
         elif standing:
             exclude(health, GPS, FROZEN)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
         elif (doppler or frozen) and is_fault(max(size / level, pull), 1.0, T, gps):
             exclude(health, GPS, FROZEN if frozen else DRIFTS)
     else:
-        if standing and gps.reason != IMPOSSIBLE:
+        if standing and gps.reason == DRIFTS:
             exclude(health, GPS, FROZEN)
         if jumped:
             _begin_sum(health)
             _begin_pull(health)
-        _readmit(z, T, follows, frozen, health, given)
+        _readmit(z, T, follows, frozen, doppler, health, given)

@@ -8,10 +8,10 @@ from twin.channels import U
 from twin.health.drives.filters import thrust_of
 from twin.health.evidence import GIVE_IN
 from twin.health.state import ACCELEROMETERS, EXCLUDED, FROZEN, GPS, OK
-from usv_kernel.channels import GPS_VX, GPS_X
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X
 from usv_kernel.jit import inlined
 
-__all__ = ["are_fixes_standing", "begin_standing", "have_stood"]
+__all__ = ["are_fixes_standing", "begin_standing", "have_stood", "note_leap"]
 
 MEAN_TIME = 0.5
 """Time constant of the mean of the fixes, s: in it the noise of single fixes averages out."""
@@ -39,8 +39,28 @@ to the fixes by then."""
 DRIVEN = 0.3
 """A boat with this share of the thrust that keeps its speed goes on; another may have stopped."""
 
+MOVING, STAND_GIVE_IN = 0.2, 180.0
+"""A boat whose receiver measures this velocity, in nominal speeds, does move. Else fixes that stand
+for so long (s) are right: the boat may be moored, and thrust does not move it."""
+
+LEAP_SDS, HIT_TIME = 8.0, 16.0
+"""Standard deviations by which accelerations of two rows differ without a leap; and how long (s)
+after one the boat may have hit something, so that its fixes rightly stand."""
+
 THRUST_LEAST = 0.1
 """Thrust, in nominal ones, under which no free boat lies still for long."""
+
+
+@inlined
+def note_leap(dt, z, health, given):
+    """Note when the acceleration last leapt, as in an impact: the navigation does not follow it."""
+    largest = 0.5 * given.speed / given.time_scale + LEAP_SDS * math.hypot(
+        given.accel_sd, 0.5 * given.tilt
+    )
+    health.since_leap += dt
+    for k in (ACCEL_X, ACCEL_Y):
+        if abs(z[k] - health.last[k]) > largest:  # false for NaN
+            health.since_leap = 0.0
 
 
 @inlined
@@ -91,7 +111,8 @@ def are_fixes_standing(z, s, T, health, given):
         # with the lag of the other: boats that reverse stand for a moment
         gone[k] += share * (way[k] - gone[k])
     health.stand_scatter += min(share, SCATTER_SHARE) * (square - health.stand_scatter)
-    measured = health.sensors[ACCELEROMETERS].status == OK or math.isfinite(z[GPS_VX])
+    doppler = math.isfinite(z[GPS_VX])
+    measured = health.sensors[ACCELEROMETERS].status == OK or doppler
     # a step has the variance of two fixes, in each of two directions
     named = gps.status == EXCLUDED and gps.reason == FROZEN
     scatter = given.gps_sd if measured or named else 0.5 * math.sqrt(health.stand_scatter)
@@ -108,7 +129,14 @@ def are_fixes_standing(z, s, T, health, given):
     went = math.hypot(gone[0], gone[1]) / (smoothed * given.gps_sd + NEAR_LEAST)
     health.stand_most = max(health.stand_most, went)
     if named:
-        return health.stand_most > WAY_BOTH and health.reckoned_time < GIVE_IN
+        moving = math.hypot(z[GPS_VX], z[GPS_VY]) > MOVING * given.speed  # false for NaN
+        early = health.reckoned_time < STAND_GIVE_IN
+        return health.stand_most > WAY_BOTH and (moving or early)
+    hit = health.since_leap < HIT_TIME and not doppler
+    asked = gps.status == OK and gps.since > GIVE_IN and health.clock - gps.since < GIVE_IN
+    if hit or asked:
+        # a boat that hit something may have stopped; and no sensor is accused twice for one thing
+        return False
     driven = _is_driven(s, health, given)
     most = WAY_BOTH if measured and driven else WAY_ALONE
     went_away = (measured or driven) and health.stand_most > most

@@ -227,6 +227,7 @@ HEALTH = np.dtype(
         ("stand_mean_way", "f8", 2),  # its mean as that of the fixes, m
         ("stand_most", "f8"),  # the furthest that this led to, in radii of standing fixes
         ("stand_time", "f8"),  # time since, s
+        ("since_leap", "f8"),  # time since the acceleration last leapt, s
         ("stand_scatter", "f8"),  # recent mean square of the steps between fixes, m2
         # velocity against accelerometers
         ("velocity", "f8", 2),  # last velocity over ground, m/s

@@ -213,6 +213,10 @@ class HistoryPredictor(Predictor):
         """See :meth:`Predictor.suspend_learning`: rows are marked in the history."""
         self._suspended = commands or motion
 
+    def restart_velocity(self, axes: Array, velocity: Array) -> None:
+        """See :meth:`Predictor.restart_velocity`."""
+        self.navigator.restart_velocity(axes, velocity)
+
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""
         self.t = t

@@ -1,18 +1,18 @@
-"""What velocity and position err by during an outage of GPS, and the variances it adds."""
+"""Error of the model's velocity during an outage of GPS, and the position variance it adds."""
 
 from __future__ import annotations
 
 import math
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.filters.navigation_ekf import GAP_MAX, aid, is_learning_suspended, lacks_gps
+from twin.filters.navigation_ekf import GAP_MAX, is_learning_suspended, lacks_gps
 from twin.model.dynamics import drive, rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import CURRENT, N_STATES, current_of
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
-__all__ = ["restart_velocity", "try_open_loop", "widen_without_gps"]
+__all__ = ["try_open_loop", "widen_without_gps"]
 
 FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
@@ -33,14 +33,6 @@ TINY = 1e-9
 """Smallest of these squares, (m/s)2."""
 
 TRIAL_TIME, TRIAL_U, TRIAL_V, TRIAL_NORTH, TRIAL_EAST, TRIAL_COUNT = range(6)
-
-BIAS_SD, BIAS_TIME = 0.7, 3.0
-"""Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
-it takes to find them."""
-
-RESTART_SD = 0.15, 0.2
-"""Standard deviations of surge by the commands alone, and of a sway taken for zero, in nominal
-speeds."""
 
 UNTURNED = 0.12
 """Standard deviation of the current along the course that a boat with a rough model has kept, in
@@ -89,37 +81,6 @@ def try_open_loop(dt, nav, state, given, model, terms):
     square = math.log(min(max(square, TINY), given.envelope[0] ** 2))
     before = math.log(max(nav.drift_var, TINY))
     nav.drift_var = math.exp((count * before + square) / (count + 1.0))
-
-
-@inlined
-def restart_velocity(nav, work, state, given):
-    """Take back what accelerometers did that are found at fault now, without GPS.
-
-    Surge or sway begin again. As a bias moves velocity and position together, this takes back the
-    way as well.
-    """
-    P, c, s = nav.P, math.cos(nav.n[PSI]), math.sin(nav.n[PSI])
-    faster, moved = BIAS_SD * BIAS_TIME, 0.5 * BIAS_SD * BIAS_TIME**2
-    for axis in range(2):
-        if nav.restarts[axis] == 0.0:
-            continue
-        nav.restarts[axis] = 0.0
-        i, north, east = U + axis, moved * c, moved * s
-        if axis == 1:
-            north, east = -east, north
-        P[X, X] += north * north
-        P[Y, Y] += east * east
-        P[X, Y] += north * east
-        P[Y, X] = P[X, Y]
-        P[X, i] += north * faster
-        P[Y, i] += east * faster
-        P[i, X], P[i, Y] = P[X, i], P[Y, i]
-        P[i, i] += faster * faster
-        sd = RESTART_SD[axis] * 0.25 * given.envelope[0]
-        aid(nav, work, i, nav.restarted[axis], sd * sd)
-        for k in range(state.x.shape[0]):
-            state.P[i, k] = state.P[k, i] = 0.0
-        state.x[i], state.P[i, i] = nav.restarted[axis], sd * sd
 
 
 @inlined

@@ -39,7 +39,7 @@ def stand(noise: float) -> SensorFault:
 @pytest.mark.parametrize("missing", [(), VELOCITY, NO_VELOCITY_OR_ACCELERATION])
 @pytest.mark.parametrize("vessel", VESSELS)
 def test_fixes_that_stand_but_for_noise_name_the_gps_and_it_comes_back(vessel, missing, noise):
-    found = watch_fault(stand(noise), vessel=vessel, missing=missing, after=5.0)
+    found = watch_fault(stand(noise), vessel=vessel, missing=missing, after=12.0)
     assert found.named == {"gps"}, found.findings
     # the velocity of a slow boat may give in first: then the jump at the end sets the fixes right
     slow = vessel == "otter" and missing == VELOCITY and noise == 0.2

@@ -291,10 +291,6 @@ def _conclude(wrong, health):
         check.calm = check.calm + 1.0 if agreed else 0.0
         if check.calm > CALM_STEPS:
             _put_in_force(AS_GIVEN, health)
-        elif health.clock - check.since > GIVE_IN:
-            # what they do is learned again, as it is
-            _put_in_force(AS_GIVEN, health)
-            health.steps = 0.0
     elif force != AS_GIVEN:
         return
     elif check.status == OK:
@@ -463,6 +459,12 @@ def check_commands(dt, cmd, s, ready, health, given):
     left, right = cmd[0] / n0, cmd[1] / n0
     if not _are_possible(dt, left, right, cmd, health) or not ready:
         return
+    check = health.sensors[COMMAND]
+    failed = check.status == EXCLUDED and check.reason != IMPOSSIBLE
+    if failed and health.clock - check.since > GIVE_IN:
+        # what they do is learned again, as it is
+        _put_in_force(AS_GIVEN, health)
+        health.steps = 0.0
     known = _is_motion_known(dt, health)
     step = step_seconds(given)
     if known and health.step_time < 0.0:

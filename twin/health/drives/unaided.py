@@ -22,6 +22,7 @@ from twin.health.evidence import (
     typical_size,
 )
 from twin.health.state import (
+    ABSENT,
     ACCELEROMETERS,
     AT_ODDS,
     COMMAND,
@@ -54,6 +55,9 @@ SWAY_MOST = 0.3
 """Most sway that is possible without a velocity over ground, in nominal speeds: accelerometers at
 fault make more."""
 
+TURN_MAX = 0.5
+"""Between rarer rows (s) a boat may begin to turn: its centripetal acceleration is not known."""
+
 STEP_MAX = 2.0
 """After a longer gap (s) the sums begin again."""
 
@@ -66,6 +70,13 @@ NO_VELOCITY = 3.0
 
 
 @inlined
+def _is_unaided(health):
+    """Return whether no fixes are used, and have not been for a while."""
+    absent = health.sensors[GPS].status == ABSENT and health.velocity_time > NO_VELOCITY
+    return absent or health.sensors[GPS].status == EXCLUDED
+
+
+@inlined
 def _expected(dt, s, health, given):
     """Return the acceleration forward and to starboard that the commands make, m/s2.
 
@@ -74,7 +85,7 @@ def _expected(dt, s, health, given):
     if health.steps <= WARM_UP or dt > STEP_MAX:
         health.unaided_surge = s[U] / given.speed
     r = s[R] * given.time_scale
-    most = SWAY_MOST if health.velocity_time > NO_VELOCITY else MOTION_MAX
+    most = SWAY_MOST if _is_unaided(health) else MOTION_MAX
     v = min(max(s[V] / given.speed, -most), most)
     change = surge_change(health.unaided_surge, v, r, health) / step_seconds(given)
     surge = health.unaided_surge + change * dt
@@ -131,6 +142,8 @@ def check_unaided(dt, z, s, ready, health, given):
         if learn:
             health.unaided_bias[k] += more * min(dt / BIAS_TIME, LEVEL_SHARE)
         total = health.unaided_sum[k] * fade + more * dt
+        if k == 1 and dt > TURN_MAX:
+            total = 0.0
         level = health.unaided_level[k]
         level = typical_size(level, abs(total), floor, dt, health.clock, learn)
         health.unaided_level[k] = level
@@ -139,5 +152,5 @@ def check_unaided(dt, z, s, ready, health, given):
         if size < CLEAR:
             health.unaided_agreed[k] = health.unaided_gain[k]
         most = max(most, size)
-    if health.velocity_time > NO_VELOCITY or health.sensors[GPS].status == EXCLUDED:
+    if _is_unaided(health):
         _decide(most, dt, s, health, given)
