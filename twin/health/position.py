@@ -17,7 +17,13 @@ from twin.health.evidence import (
     typical_size,
     velocity_step,
 )
-from twin.health.standing import are_fixes_standing, begin_standing, have_stood, note_leap
+from twin.health.standing import (
+    accept_stand,
+    are_fixes_standing,
+    begin_standing,
+    have_stood,
+    note_leap,
+)
 from twin.health.state import (
     ACCELEROMETERS,
     COMPASS_SENSOR,
@@ -243,6 +249,7 @@ def _readmit(z, T, follows, frozen, doppler, health, given):
     if calm or alive or lasting:
         if lasted > GIVE_IN:
             gps.in_use = 0.0  # what spoke against it so long is at fault
+            accept_stand(health)
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
         _begin_pull(health)

@@ -6,12 +6,11 @@ import math
 
 from twin.channels import U
 from twin.health.drives.filters import thrust_of
-from twin.health.evidence import GIVE_IN
 from twin.health.state import ACCELEROMETERS, EXCLUDED, FROZEN, GPS, OK
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X
 from usv_kernel.jit import inlined
 
-__all__ = ["are_fixes_standing", "begin_standing", "have_stood", "note_leap"]
+__all__ = ["accept_stand", "are_fixes_standing", "begin_standing", "have_stood", "note_leap"]
 
 MEAN_TIME = 0.5
 """Time constant of the mean of the fixes, s: in it the noise of single fixes averages out."""
@@ -77,6 +76,12 @@ def _is_driven(s, health, given):
 
 
 @inlined
+def accept_stand(health):
+    """Take the fixes for right where they stand: that they do is not asked again."""
+    health.stand_time = max(health.stand_time, LATE)
+
+
+@inlined
 def have_stood(s, health, given):
     """Return whether fixes stood for long under thrust: then a jump sets them right.
 
@@ -132,10 +137,8 @@ def are_fixes_standing(z, s, T, health, given):
         moving = math.hypot(z[GPS_VX], z[GPS_VY]) > MOVING * given.speed  # false for NaN
         early = health.reckoned_time < STAND_GIVE_IN
         return health.stand_most > WAY_BOTH and (moving or early)
-    hit = health.since_leap < HIT_TIME and not doppler
-    asked = gps.status == OK and gps.since > GIVE_IN and health.clock - gps.since < GIVE_IN
-    if hit or asked:
-        # a boat that hit something may have stopped; and no sensor is accused twice for one thing
+    if health.since_leap < HIT_TIME and not doppler:
+        # a boat that hit something may have stopped
         return False
     driven = _is_driven(s, health, given)
     most = WAY_BOTH if measured and driven else WAY_ALONE
