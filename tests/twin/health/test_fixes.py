@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from twin import Twin
 from twin.benchmark.sensor_faults import Rows, SensorFault
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
-from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 
 VELOCITY = (GPS_VX, GPS_VY)
 
@@ -64,6 +65,62 @@ def test_boat_that_reverses_and_lies_still_keeps_its_gps(vessel, missing):
     twin = Twin(particulars_of(boat), "ukf")
     twin.run(log)
     assert not [note for note in twin.notes if note.startswith("gps excluded")], twin.notes
+
+
+@pytest.mark.parametrize("seconds", [10.0, 20.0])
+@pytest.mark.parametrize("vessel", VESSELS)
+def test_frozen_fixes_that_catch_up_slowly_are_not_believed_on_the_way(vessel, seconds):
+    log, twin, first = base("zigzag", vessel, VELOCITY)
+    assert log.truth is not None
+    share = np.interp(log.t, [START + 25.0, START + 25.0 + seconds], [1.0, 0.0])
+    share[log.t < START] = 0.0
+    held = log.truth[np.searchsorted(log.t, START), :2]
+    moved = dataclasses.replace(log, z=log.z.copy())
+    moved.z[:, GPS_X : GPS_Y + 1] += share[:, None] * (held - log.truth[:, :2])
+    twin, believed = copy.deepcopy(twin), []
+    for row in range(first, len(log)):
+        twin.step(log.t[row], moved.z[row], log.cmd[row])
+        found = twin.estimate()
+        error = math.dist(found.state[:2], log.truth[row, :2])
+        if twin.health["gps"].status == "ok" and log.t[row] > START + 8.0:
+            believed.append(error - 4.0 * math.hypot(*found.sd[:2]))
+    assert max(believed) < 5.0
+    assert twin.health["gps"].status == "ok"
+
+
+@pytest.mark.parametrize("tau", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("vessel", VESSELS)
+def test_boat_that_hits_something_keeps_its_gps(vessel, tau):
+    """Its thrust goes on, and nothing measures its velocity."""
+    log, twin, first = base("straight", vessel, VELOCITY)
+    assert log.truth is not None
+    at, rng = int(np.searchsorted(log.t, START)), np.random.default_rng(1)
+    x, y, psi, u = log.truth[at, :4]
+    left = np.exp(-(log.t[at:] - START) / tau)
+    z, cmd = log.z.copy(), log.cmd.copy()
+    seen, n = np.isfinite(z[at:, GPS_X]), len(left)
+    z[at:, GPS_X] = x + u * math.cos(psi) * tau * (1.0 - left) + 0.3 * rng.normal(size=n)
+    z[at:, GPS_Y] = y + u * math.sin(psi) * tau * (1.0 - left) + 0.3 * rng.normal(size=n)
+    z[at:][~seen, GPS_X : GPS_Y + 1] = np.nan
+    z[at:, COMPASS], z[at:, GYRO] = psi + 0.01 * rng.normal(size=n), 0.003 * rng.normal(size=n)
+    z[at:, ACCEL_X] = -u / tau * left + 0.05 * rng.normal(size=n)
+    z[at:, ACCEL_Y] = 0.05 * rng.normal(size=n)
+    cmd[at:] = cmd[at]
+    found = watch(copy.deepcopy(twin), dataclasses.replace(log, z=z, cmd=cmd), first)
+    assert "gps" not in found.named, found.findings
+
+
+@pytest.mark.parametrize("seconds", [2.5, 5.0])
+def test_rare_fixes_accuse_no_accelerometers(seconds):
+    log, twin, first = base("random", "usv75", VELOCITY)
+    z, due = log.z.copy(), -1.0
+    for row in np.flatnonzero(np.isfinite(z[:, GPS_X])):
+        if log.t[row] < due:
+            z[row, GPS_X : GPS_Y + 1] = np.nan
+        else:
+            due = log.t[row] + seconds
+    found = watch(copy.deepcopy(twin), dataclasses.replace(log, z=z), first)
+    assert "accelerometers" not in found.named, found.findings
 
 
 @pytest.mark.parametrize("seconds", [1.0, 3.0, 10.0])

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from tests.twin.health.watching import START, base, watch
+from twin import Twin
 from twin.benchmark.sensor_faults import Rows, SensorFault, inject
+from twin.sim.bridge import particulars_of
+from usv_gym import Vessel
 from usv_kernel.channels import ACCEL_X, GPS_VY
 
 
@@ -60,3 +63,18 @@ def test_without_gps_reversed_commands_are_not_blamed_on_the_accelerometers(vess
     assert 45.0 < found.first("commands") < 51.0, found.findings
     # they are right again, and the fixes say so
     assert set(watch(twin, faulty, end).last.values()) == {"ok"}
+
+
+def test_predictors_from_a_history_take_the_bias_back_too():
+    log, _, _ = base("zigzag")
+    z, late = log.z.copy(), log.t > START + 35.0
+    z[late, : GPS_VY + 1] = math.nan
+    z[log.t > START + 45.0, ACCEL_X] += 1.0
+    twin = Twin(particulars_of(Vessel.load("usv75")), "persistence")
+    end = int(np.searchsorted(log.t, START + 70.0))
+    for row in range(end):
+        twin.step(log.t[row], z[row], log.cmd[row])
+    assert twin.health["accelerometers"].status == "excluded"
+    assert log.truth is not None
+    # the bias alone would make 300 m
+    assert math.dist(twin.estimate().state[:2], log.truth[end - 1, :2]) < 60.0
