@@ -365,7 +365,7 @@ class TrustMeter:
         Parameters
         ----------
         findings : sequence of Finding
-            Of ``twin.logs.diagnosis.diagnose``, and of ``trust_answers.untold_offset``.
+            Of ``twin.logs.diagnosis.diagnose``, and of ``trust_answers.unknown_offset``.
         """
         in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
         last = self._compared(in_use)

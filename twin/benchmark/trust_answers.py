@@ -37,7 +37,7 @@ __all__ = [
     "sensor_answer",
     "speed_ratio",
     "turned_effects",
-    "untold_offset",
+    "unknown_offset",
     "with_parameters_in_use",
 ]
 
@@ -96,7 +96,7 @@ SHOWN = 2
 SEE_CHECK = "see usv-twin log check"
 """Ends the line on the sensors where the log check found something."""
 
-UNTOLD = "compass-untold"
+UNKNOWN_OFFSET = "compass-unknown"
 """Code of a note that the track of a log does not tell by how much the compass is off."""
 
 TIMING = ("time-", "stale-rows", "fix-lost", "velocity-lost", "fix-stamps")
@@ -212,12 +212,12 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     parts += [text for colour, text in lines if colour == AMBER]
     longest = max((stretch.seconds for stretch in health.found.values()), default=0.0)
     badness = (float(len(parts) + max(len(doubted) - SHOWN, 0)), longest)
-    untold = [f.what for f in findings if f.code == UNTOLD]
+    unknown = [f.what for f in findings if f.code == UNKNOWN_OFFSET]
     if not parts:
         briefly = "; ".join(line[1] for line in lines[:2])
-        text = "; ".join([briefly or "none in doubt", *untold])
+        text = "; ".join([briefly or "none in doubt", *unknown])
         return Answer("sensors", GREEN, text, numbers, badness)
-    parts += untold
+    parts += unknown
     if len(doubted) > SHOWN:
         parts.append(f"and {len(doubted) - SHOWN} more: {SEE_CHECK}")
     elif doubted:
@@ -232,10 +232,10 @@ def _consequence(finding: Finding) -> tuple[bool, bool, bool]:
     return finding.severity != ERROR, is_timing, code in PASSING
 
 
-def untold_offset(diagnosis: Diagnosis) -> list[Finding]:
+def unknown_offset(diagnosis: Diagnosis) -> list[Finding]:
     """Return a note where the log check cannot tell by how much the compass is off, else nothing.
 
-    Where a finding names a fault of compass or track, that fault is told.
+    A finding that names a fault of compass or track stands for it.
     """
     track, rates = diagnosis.measured.track, diagnosis.measured.rates
     if (track is not None and track.is_known) or not rates.get("compass"):
@@ -244,7 +244,7 @@ def untold_offset(diagnosis: Diagnosis) -> list[Finding]:
     if any(f.severity != NOTE for f in named):
         return []
     seen = next((f" ({f.what})" for f in named if f.code == "compass-offset"), "")
-    return [Finding(NOTE, UNTOLD, f"compass offset: cannot tell from this track{seen}", "")]
+    return [Finding(NOTE, UNKNOWN_OFFSET, f"compass offset: cannot tell from this track{seen}", "")]
 
 
 def parameter_answer(

@@ -26,7 +26,7 @@ from twin.benchmark.trust_answers import (
     parameter_answer,
     sensor_answer,
     speed_ratio,
-    untold_offset,
+    unknown_offset,
     with_parameters_in_use,
 )
 from twin.cli.logs.judge_picture import draw_verdict
@@ -323,14 +323,14 @@ def test_findings_are_said_in_words_sorted_by_consequence() -> None:
     assert sensor_answer(late[:1]).text == "time-jitter in words; see usv-twin log check"
 
 
-def test_a_compass_offset_that_cannot_be_told_is_said(boat: Particulars, log: Log) -> None:
+def test_an_unknown_compass_offset_is_said(boat: Particulars, log: Log) -> None:
     def said(until: float) -> tuple[Answer, list[Finding]]:
         some = log.slice(0.0, until)
         found = diagnose(Recording(some.t, some.z, some.cmd, some.t), boat)
-        return sensor_answer([*found.findings, *untold_offset(found)]), untold_offset(found)
+        return sensor_answer([*found.findings, *unknown_offset(found)]), unknown_offset(found)
 
-    answer, untold = said(20.0)
-    assert len(untold) == 1 and untold[0].what in answer.text
+    answer, unknown = said(20.0)
+    assert len(unknown) == 1 and unknown[0].what in answer.text
     assert "compass offset: cannot tell from this track" in answer.text
     assert answer.colour == GREEN, answer.text
     assert said(150.0)[1] == []

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twin.benchmark.trust import RULES, TrustMeter, Verdict
-from twin.benchmark.trust_answers import untold_offset
+from twin.benchmark.trust_answers import unknown_offset
 from twin.cli.common import (
     LogArgument,
     MappingOption,
@@ -96,7 +96,7 @@ def findings_of(
         kept = data["t_s"] <= until
         data = {name: column[kept] for name, column in data.items()}
     found = diagnose(Recording.of(data, table.given, table.name), particulars)
-    return (*found.findings, *untold_offset(found))
+    return (*found.findings, *unknown_offset(found))
 
 
 def print_verdict(verdict: Verdict) -> None:
