@@ -99,11 +99,12 @@ SEE_CHECK = "see usv-twin log check"
 UNKNOWN_OFFSET = "compass-unknown"
 """Code of a note that the track of a log does not tell by how much the compass is off."""
 
-TIMING = ("time-", "stale-rows", "fix-lost", "velocity-lost", "fix-stamps")
-"""Beginnings of codes of findings on rows and stamps, which a twin mostly bridges."""
+TIMING = ("time-", "fix-stamps")
+"""Beginnings of codes of findings on stamps, which a twin mostly bridges."""
 
 PASSING = ("gyro-compass", "compass-steps", "fix-jumps", "fix-spikes", "fix-steps")
-"""Codes of findings that may concern a moment only; the others concern the whole log."""
+"""Codes of findings that may concern a moment only; so do those of silent sensors. The others
+concern the whole log."""
 
 STRAIGHT_LENGTHS, STRAIGHT_RATE = 3.0, 0.2
 """A boat goes straight ahead if its shaft speeds were steady over the time in which it goes so many
@@ -225,11 +226,11 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     return Answer("sensors", max(colours, key=COLOURS.index), "; ".join(parts), numbers, badness)
 
 
-def _consequence(finding: Finding) -> tuple[bool, bool, bool]:
-    """Return what orders findings: errors first, the motion before the timing."""
+def _consequence(finding: Finding) -> tuple[bool, bool, bool, bool]:
+    """Return what orders findings: errors first; the motion, silent sensors, then the timing."""
     code = finding.code
-    is_timing = code.startswith(TIMING) or code.endswith("-lost")
-    return finding.severity != ERROR, is_timing, code in PASSING
+    is_silent = code.endswith("-lost") or code == "stale-rows"
+    return finding.severity != ERROR, code.startswith(TIMING), is_silent, code in PASSING
 
 
 def unknown_offset(diagnosis: Diagnosis) -> list[Finding]:
