@@ -331,19 +331,25 @@ class Twin:
             predictor.restart_velocity(*restart)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
-        if predictor.lost:
-            self._lost_at = t
-        self.health_history.take(t, self.begun)
+        self.note_health()
+
+    def note_health(self) -> None:
+        """Note which sensors, or the navigation, changed their status in the row just taken."""
+        if self.predictor.lost:
+            self._lost_at = self.t
+        self.health_history.take(self.t, self.begun)
 
     @property
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
 
-        Those of roll, pitch, heave and wind, and the navigation filter, are named only while they
-        are in trouble. A GPS that is drawn away looks like a current. Where that is too large, or
-        changes too fast, the GPS is doubtful.
+        That of the navigation filter is ``navigation``. Those of roll, pitch, heave and wind are
+        named only while they are in trouble. A GPS that is drawn away looks like a current. Where
+        that is too large, or changes too fast, the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
+        again = self._lost_at + LOST_SHOWN  # NaN: it never began again
+        found["navigation"] = SensorStatus("ok", self.begun if math.isnan(again) else again, "")
         for name, (status, age, why) in (self.motion.troubles() | self._own_troubles()).items():
             found[name] = SensorStatus(status, self.t - age, why)
         return found

@@ -28,6 +28,7 @@ from twin.benchmark.trust_answers import (
     FAR_AMBER,
     GREEN,
     RED,
+    SEE_CHECK,
     SPEED_LEAST,
     SPEED_MOST,
     Answer,
@@ -174,7 +175,7 @@ class Verdict:
         for answer in self.answers:
             turned = answer.about == "parameters" and answer.numbers.get("sign")
             if answer.colour == RED and (answer.about == "sensors" or turned):
-                return answer.text.removesuffix("; see: usv-twin log check")
+                return answer.text.removesuffix(f": {SEE_CHECK}").removesuffix(f"; {SEE_CHECK}")
         return ""
 
     def to_json(self) -> dict[str, Any]:
@@ -364,7 +365,7 @@ class TrustMeter:
         Parameters
         ----------
         findings : sequence of Finding
-            Of ``twin.logs.diagnosis.diagnose``.
+            Of ``twin.logs.diagnosis.diagnose``, and of ``trust_answers.unknown_offset``.
         """
         in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
         last = self._compared(in_use)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
 from twin.health.monitor import SensorStatus
-from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
+from twin.logs.diagnosis.diagnose import Diagnosis
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, ParametersInUse
@@ -26,6 +27,7 @@ __all__ = [
     "FAR_AMBER",
     "GREEN",
     "RED",
+    "SEE_CHECK",
     "SPEED_LEAST",
     "SPEED_MOST",
     "Answer",
@@ -35,6 +37,7 @@ __all__ = [
     "sensor_answer",
     "speed_ratio",
     "turned_effects",
+    "unknown_offset",
     "with_parameters_in_use",
 ]
 
@@ -86,6 +89,22 @@ DAMPING = {
     **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
 }
 """Parameters that damp the motion, and their equations."""
+
+SHOWN = 2
+"""Findings of the log check that are said in words; the others are counted."""
+
+SEE_CHECK = "see usv-twin log check"
+"""Ends the line on the sensors where the log check found something."""
+
+UNKNOWN_OFFSET = "compass-unknown"
+"""Code of a note that the track of a log does not tell by how much the compass is off."""
+
+TIMING = ("time-", "fix-stamps")
+"""Beginnings of codes of findings on stamps, which a twin mostly bridges."""
+
+PASSING = ("gyro-compass", "compass-steps", "fix-jumps", "fix-spikes", "fix-steps")
+"""Codes of findings that may concern a moment only; so do those of silent sensors. The others
+concern the whole log."""
 
 STRAIGHT_LENGTHS, STRAIGHT_RATE = 3.0, 0.2
 """A boat goes straight ahead if its shaft speeds were steady over the time in which it goes so many
@@ -181,24 +200,52 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     """
     health = HealthCount() if health is None else health
     doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
+    doubted.sort(key=_consequence)
     numbers = {
         "findings": {f.code: f.severity for f in doubted},
         "health_s": {" ".join(key): stretch.seconds for key, stretch in health.found.items()},
     }
-    colours = [RED if f.severity == ERROR else AMBER for f in doubted]
     lines = health.lines()
-    parts = [text for colour, text in lines if colour != GREEN]
+    colours = [RED if f.severity == ERROR else AMBER for f in doubted]
     colours += [line[0] for line in lines]
-    if doubted:
-        shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
-        parts.append(f"{shown}; see: usv-twin log check")
+    parts = [text for colour, text in lines if colour == RED]
+    parts += [f.what for f in doubted[:SHOWN]]
+    parts += [text for colour, text in lines if colour == AMBER]
     longest = max((stretch.seconds for stretch in health.found.values()), default=0.0)
-    badness = (float(len(parts) + len(doubted)), longest)
+    badness = (float(len(parts) + max(len(doubted) - SHOWN, 0)), longest)
+    unknown = [f.what for f in findings if f.code == UNKNOWN_OFFSET]
     if not parts:
         briefly = "; ".join(line[1] for line in lines[:2])
-        return Answer("sensors", GREEN, briefly or "none in doubt", numbers, badness)
-    colour = max(colours, key=COLOURS.index)
-    return Answer("sensors", colour, "; ".join(parts), numbers, badness)
+        text = "; ".join([briefly or "none in doubt", *unknown])
+        return Answer("sensors", GREEN, text, numbers, badness)
+    parts += unknown
+    if len(doubted) > SHOWN:
+        parts.append(f"and {len(doubted) - SHOWN} more: {SEE_CHECK}")
+    elif doubted:
+        parts.append(SEE_CHECK)
+    return Answer("sensors", max(colours, key=COLOURS.index), "; ".join(parts), numbers, badness)
+
+
+def _consequence(finding: Finding) -> tuple[bool, bool, bool, bool]:
+    """Return what orders findings: errors first; the motion, silent sensors, then the timing."""
+    code = finding.code
+    is_silent = code.endswith("-lost") or code == "stale-rows"
+    return finding.severity != ERROR, code.startswith(TIMING), is_silent, code in PASSING
+
+
+def unknown_offset(diagnosis: Diagnosis) -> list[Finding]:
+    """Return a note where the log check cannot tell by how much the compass is off, else nothing.
+
+    A finding that names a fault of compass or track stands for it.
+    """
+    track, rates = diagnosis.measured.track, diagnosis.measured.rates
+    if (track is not None and track.is_known) or not rates.get("compass"):
+        return []
+    named = [f for f in diagnosis.findings if f.code.startswith(("compass-", "track-", "course-"))]
+    if any(f.severity != NOTE for f in named):
+        return []
+    seen = next((f" ({f.what})" for f in named if f.code == "compass-offset"), "")
+    return [Finding(NOTE, UNKNOWN_OFFSET, f"compass offset: cannot tell from this track{seen}", "")]
 
 
 def parameter_answer(

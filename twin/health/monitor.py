@@ -80,6 +80,11 @@ class SensorStatus(NamedTuple):
     why: str
     """In words; empty where all is well."""
 
+    def __str__(self) -> str:
+        """Return it in words, such as ``excluded since 88.4 s: gps jumped``."""
+        since = f" since {self.since:.1f} s" if math.isfinite(self.since) else ""
+        return f"{self.status}{since}" + (f": {self.why}" if self.why else "")
+
 
 @kernel
 def _check(dt, z, cmd, s, ready, memory, settings, out):

@@ -35,6 +35,10 @@ _PLACES = ("latitude_deg", "longitude_deg")
 
 _UTC = "time_utc"
 
+_TIME_DIGITS = 6
+"""Decimals of ``t_s`` in text files: seconds since 1970 are known to a quarter of a microsecond, so
+the digits after these of a time that was counted from a date are chance."""
+
 
 class ExportError(UsvTwinError):
     """A file that cannot be written as asked; the message names it and the remedy."""
@@ -160,6 +164,8 @@ class StateTable(np.ndarray):
     def write(self, path: str | Path, **about: Any) -> None:
         """Write a file of the kind that its name ends in.
 
+        Text files have times to the microsecond.
+
         Parameters
         ----------
         path : str or Path
@@ -172,13 +178,16 @@ class StateTable(np.ndarray):
         ExportError
             Names the file and the remedy.
         """
+        import polars as pl
+
         path = Path(path)
         check_export(path, self.datum)
         buffer = io.BytesIO()
         if path.suffix == ".parquet":
             self.to_polars().write_parquet(buffer)
         elif path.suffix == ".csv":
-            self.to_polars().write_csv(buffer, datetime_format="%Y-%m-%dT%H:%M:%S%.6fZ")
+            frame = self.to_polars().with_columns(pl.col(TIME).round(_TIME_DIGITS))
+            frame.write_csv(buffer, datetime_format="%Y-%m-%dT%H:%M:%S%.6fZ")
         else:
             text = json.dumps(self._geojson(about), allow_nan=False, separators=(",", ":"))
             buffer.write(text.encode())
@@ -187,7 +196,8 @@ class StateTable(np.ndarray):
     def _geojson(self, about: Mapping[str, Any]) -> dict[str, Any]:
         """Return a collection of the track and of a point for each row (RFC 7946)."""
         names = [name for name in self.dtype.names or () if name not in _PLACES]
-        rows = np.atleast_1d(np.asarray(self))
+        rows = np.atleast_1d(np.array(self))
+        rows[TIME] = rows[TIME].round(_TIME_DIGITS)
         known = np.isfinite(rows[_PLACES[0]])
         latitude, longitude = (rows[name][known].tolist() for name in _PLACES)
         places = [[east, north] for north, east in zip(latitude, longitude, strict=True)]

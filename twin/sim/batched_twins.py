@@ -478,7 +478,7 @@ class CompiledTwins(TwinObserver):
             twin.t = self._predictor.t = self._notes.item(0)
             twin.begun = self._notes.item(1)
             twin.cmd = self._cmd
-            twin.health_history.take(twin.t, twin.begun)
+            twin.note_health()
 
     def observe_block(self, j: int, obs: NDArray[np.float32], look: bool) -> None:
         """See :class:`Observer`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from twin.logs import datasets as archive
@@ -11,7 +12,6 @@ from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
 from twin.sim.bridge import particulars_of
-from usv_gym.vessel.schema import KIND_SCHEMA
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_kernel.files import TOML_MAX, read_limited
 
@@ -59,9 +59,11 @@ def particulars_for_log(
     file = sibling_path(path, ".toml")
     if ship is None and not has_particulars(path):
         names = ", ".join(vessel_names())
-        kinds = ", ".join(KIND_SCHEMA)
+        given = (path,) if mapping is None else (path, "--mapping", mapping)
+        options = shlex.join(str(each) for each in given)
+        target = shlex.quote(str(file))
         raise ParticularsError(
-            _NO_PARTICULARS.format(path=path, file=file, names=names, kinds=kinds)
+            _NO_PARTICULARS.format(path=path, options=options, file=target, names=names)
         )
     if ship is None and not file.exists():
         return archive.ship(path)
@@ -82,9 +84,8 @@ def particulars_for_log(
 
 
 _NO_PARTICULARS = (
-    "{path}: no particulars of the boat. Write [particulars] into {file}. This estimates them: "
-    "usv-twin vessel new --name BOAT --length M --beam M --draft M --mass KG --speed KNOTS "
-    "--kind KIND --hulls 1|2 --out {file}, with KIND one of {kinds}. "
+    "{path}: no particulars of the boat. This writes them, as far as the log shows them: "
+    "usv-twin log check {options} --write {file}. Then fill in length, beam, draft and mass there. "
     "Or name the boat with --ship FILE or --ship NAME ({names})"
 )
 

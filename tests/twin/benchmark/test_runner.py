@@ -226,7 +226,7 @@ def test_a_log_is_replaced_with_its_result_and_has_its_particulars(tmp_path):
     assert particulars_for_log(path) == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    with pytest.raises(ParticularsError, match=r"no particulars .* --out .*alone.toml"):
+    with pytest.raises(ParticularsError, match=r"no particulars .* --write .*alone.toml"):
         particulars_for_log(other)
 
 

@@ -26,12 +26,14 @@ from twin.benchmark.trust_answers import (
     parameter_answer,
     sensor_answer,
     speed_ratio,
+    unknown_offset,
     with_parameters_in_use,
 )
 from twin.cli.logs.judge_picture import draw_verdict
 from twin.health.monitor import SensorStatus
 from twin.identification.data_weight import CHOSEN, PRIOR
-from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
+from twin.logs.diagnosis.diagnose import diagnose
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.motion.tilt_meter import TiltScore
 from twin.predictors.base import ParametersInUse
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -304,9 +306,34 @@ def test_reversed_steering_shows_in_a_sign(boat: Particulars, log: Log) -> None:
 def test_findings_of_the_log_check_colour_the_sensors(boat: Particulars, log: Log) -> None:
     meter = TrustMeter(Twin(boat, "ukf"), log)
     for severity, colour in ((NOTE, GREEN), (WARNING, AMBER), (ERROR, RED)):
-        answer = meter.verdict([Finding(severity, "gyro-sign", "", "")]).answers[4]
+        answer = meter.verdict([Finding(severity, "gyro-sign", "mirrored", "")]).answers[4]
         assert answer.colour == colour
-        assert ("gyro-sign" in answer.text) == (severity != NOTE)
+        assert ("mirrored; see usv-twin log check" in answer.text) == (severity != NOTE)
+
+
+def test_findings_are_said_in_words_sorted_by_consequence() -> None:
+    late = [Finding(WARNING, code, f"{code} in words", "") for code in ("time-jitter", "fix-lost")]
+    offset = Finding(WARNING, "compass-offset", "compass is off", "")
+    moment = Finding(WARNING, "gyro-compass", "gyro disagrees", "")
+    error = Finding(ERROR, "shaft-unit", "wrong unit", "")
+    said = sensor_answer([*late, moment, offset]).text
+    assert said == "compass is off; gyro disagrees; and 2 more: see usv-twin log check"
+    said = sensor_answer([*late, moment, offset, error]).text
+    assert said == "wrong unit; compass is off; and 3 more: see usv-twin log check"
+    assert sensor_answer(late[:1]).text == "time-jitter in words; see usv-twin log check"
+
+
+def test_an_unknown_compass_offset_is_said(boat: Particulars, log: Log) -> None:
+    def said(until: float) -> tuple[Answer, list[Finding]]:
+        some = log.slice(0.0, until)
+        found = diagnose(Recording(some.t, some.z, some.cmd, some.t), boat)
+        return sensor_answer([*found.findings, *unknown_offset(found)]), unknown_offset(found)
+
+    answer, unknown = said(20.0)
+    assert len(unknown) == 1 and unknown[0].what in answer.text
+    assert "compass offset: cannot tell from this track" in answer.text
+    assert answer.colour == GREEN, answer.text
+    assert said(150.0)[1] == []
 
 
 def test_sensors_that_the_twin_left_out_colour_the_sensors(boat: Particulars, log: Log) -> None:

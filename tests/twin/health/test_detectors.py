@@ -20,6 +20,7 @@ from twin.benchmark.sensor_faults import (
     inject,
     simulate_with,
 )
+from twin.digital_twin import LOST_SHOWN
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_kernel.channels import (
@@ -544,7 +545,8 @@ def test_navigation_that_is_lost_says_so_and_begins_again(tmp_path):
     assert Twin.load(tmp_path / "a.twin").health == twin.health
     for row in range(first + 60, first + 300):
         twin.step(log.t[row], log.z[row], log.cmd[row])
-    assert "navigation" not in twin.health
+    assert twin.health["navigation"].status == "ok"
+    assert twin.health["navigation"].since == pytest.approx(found.since + LOST_SHOWN, abs=0.2)
 
 
 def test_receiver_that_holds_still_is_right():

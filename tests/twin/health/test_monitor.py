@@ -14,7 +14,7 @@ from tests.twin.health.watching import MANOEUVRES, START, base, watch, watch_fau
 from twin import Twin
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject
 from twin.checkpoint import StateError
-from twin.health.monitor import FIELDS, SensorMonitor
+from twin.health.monitor import FIELDS, SensorMonitor, SensorStatus
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 
@@ -74,7 +74,16 @@ def test_saved_twin_goes_on_to_the_bit(tmp_path, name):
     watch(other, faulty, int(middle), int(end))
     np.testing.assert_array_equal(other.monitor.memory, twin.monitor.memory)
     np.testing.assert_array_equal(other.estimate().state, twin.estimate().state)
-    assert set(twin.health) == {"gps", "compass", "gyro", "accelerometers", "commands"}
+    sensors = {"gps", "compass", "gyro", "accelerometers", "commands"}
+    assert set(twin.health) == sensors | {"navigation"}
+
+
+def test_a_status_prints_as_words():
+    status = SensorStatus("excluded", 88.42599987983704, "gps jumped")
+    assert str(status) == "excluded since 88.4 s: gps jumped"
+    assert f"{SensorStatus('ok', 0.0, '')}" == "ok since 0.0 s"
+    assert str(SensorStatus("absent", np.nan, "")) == "absent"
+    assert str(base("zigzag")[1].health["navigation"]) == "ok since 0.0 s"
 
 
 def test_damaged_state_is_refused():

@@ -85,7 +85,7 @@ def watch(twin: Twin, log: Log, first: int, last: int | None = None) -> Watch:
                 after = float(log.t[row]) - START
                 findings.append(Finding(after, SENSORS[k], status.status, status.why))
         before = now.copy()
-    return Watch(tuple(findings), {name: item.status for name, item in twin.health.items()})
+    return Watch(tuple(findings), {name: twin.health[name].status for name in SENSORS})
 
 
 def watch_fault(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -221,9 +222,26 @@ def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
     said = " ".join(result.output.split())
     assert result.exit_code == 2
     assert f"{path}: no particulars of the boat" in said
-    assert "usv-twin vessel new --name BOAT" in said and str(tmp_path / "mine.toml") in said
-    assert "--speed KNOTS --kind KIND --hulls 1|2" in said
-    assert "KIND one of steerable_drive, propeller_rudder, thruster_pair" in said
+    particulars = tmp_path / "mine.toml"
+    assert f"usv-twin log check {path} --write {particulars}. Then fill in length, beam" in said
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "my own.csv"])
+def test_the_command_that_missing_particulars_name_works(tmp_path, name):
+    path = tmp_path / name
+    Log.read(recorded_runs()["boat1_usv_circle"]).write(path)
+    with pytest.raises(ParticularsError, match=r"--mapping map.toml --write .*Then fill in"):
+        particulars_for_log(path, mapping="map.toml")
+    with pytest.raises(ParticularsError, match="no particulars") as error:
+        particulars_for_log(path)
+    command = str(error.value).partition("usv-twin ")[2].partition(". Then")[0]
+    result = CliRunner().invoke(app, [*shlex.split(command), "--no-picture"])
+    assert result.exit_code == 0, result.output
+    written = path.with_suffix(".toml")
+    stated = "length = 2\nbeam = 1\ndraft = 0.2\nmass = 60\n"
+    text = written.read_text(encoding="utf-8").replace("# length = ?", stated)
+    written.write_text(text, encoding="utf-8")
+    assert particulars_for_log(path).length == 2.0
 
 
 def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):

@@ -286,6 +286,15 @@ def test_csv_and_parquet_hold_the_same_table(tmp_path):
         assert frame[name].to_list() == again[name].to_list()
 
 
+@pytest.mark.parametrize("ending", [".csv", ".geojson"])
+def test_text_files_have_times_without_digits_of_chance(tmp_path, ending):
+    table = StateTable.of({"t_s": [0.0, 120.09000000953674], "x_m": [0, 1], "y_m": [0, 1]}, HERE)
+    table.write(tmp_path / f"ahead{ending}")
+    text = (tmp_path / f"ahead{ending}").read_text(encoding="utf-8")
+    assert "120.09" in text and "120.0900000" not in text
+    assert table["t_s"][1] == 120.09000000953674
+
+
 def check_geojson(content):
     """Check a collection against RFC 7946, and with parsers where they are installed."""
     assert content["type"] == "FeatureCollection" and "crs" not in content

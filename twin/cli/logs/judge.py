@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from twin.benchmark.trust import RULES, TrustMeter, Verdict
+from twin.benchmark.trust_answers import unknown_offset
 from twin.cli.common import (
     LogArgument,
     MappingOption,
@@ -88,13 +89,14 @@ verdict_command.__doc__ = f"""Say in a few lines and one colour whether a twin m
 def findings_of(
     log: Path, mapping: Path | None, particulars: Particulars, until: float | None
 ) -> tuple[Finding, ...]:
-    """Return what ``usv-twin log check`` finds in a log, up to a time (s)."""
+    """Return what ``usv-twin log check`` finds in a log up to a time (s), and cannot tell."""
     table = read_table(log, mapping)
     data = table.data
     if until is not None:
         kept = data["t_s"] <= until
         data = {name: column[kept] for name, column in data.items()}
-    return diagnose(Recording.of(data, table.given, table.name), particulars).findings
+    found = diagnose(Recording.of(data, table.given, table.name), particulars)
+    return (*found.findings, *unknown_offset(found))
 
 
 def print_verdict(verdict: Verdict) -> None:

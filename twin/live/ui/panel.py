@@ -429,7 +429,10 @@ def checks(health: dict[str, SensorStatus]) -> dict[str, str]:
     """Return which sensors agree with each other, and of the others since when not, and why."""
     lines = {}
     for status in ("ok", "absent"):
-        names = ", ".join(name for name, each in health.items() if each.status == status)
+        # the navigation filter is no sensor: it is shown where it is in doubt
+        names = ", ".join(
+            name for name, each in health.items() if each.status == status and name != "navigation"
+        )
         if names:
             lines[f"sensors {status}"] = names
     for name, each in health.items():
