@@ -25,6 +25,7 @@ from twin.health.standing import (
     note_leap,
 )
 from twin.health.state import (
+    ABSENT,
     ACCELEROMETERS,
     COMPASS_SENSOR,
     DOUBTFUL,
@@ -162,7 +163,9 @@ def _reckon(dt, z, s, health):
         north, east = z[GPS_VX], z[GPS_VY]
     health.travelled[0] += north * dt
     health.travelled[1] += east * dt
-    if health.row_gap > 0.0:
+    sensors = health.sensors
+    blind = sensors[COMPASS_SENSOR].status == ABSENT and sensors[GYRO_SENSOR].status == ABSENT
+    if blind or health.row_gap > 0.0:
         health.gap_way[0] += north * dt
         health.gap_way[1] += east * dt
     health.fix_time += dt
@@ -171,7 +174,7 @@ def _reckon(dt, z, s, health):
 
 @inlined
 def _excuse_gap(step_x, step_y, health):
-    """Return a step without what of it a gap between rows explains.
+    """Return a step without what of it a gap explains: no rows, or rows without any turn measured.
 
     In it the boat may have turned; or the clock stepped, and the boat did not move at all. So it
     may be anywhere within the way that it would have made ahead.

@@ -212,7 +212,7 @@ HEALTH = np.dtype(
         ("fix", "f8", 2),  # last fix, m
         ("fix_time", "f8"),  # time since then, s
         ("travelled", "f8", 2),  # integral of the velocity since then, m
-        ("gap_way", "f8", 2),  # part of it in gaps between rows, m
+        ("gap_way", "f8", 2),  # part of it without rows, or without compass and gyro, m
         ("position_sum", "f8", 2),  # leaky sum of position minus velocity, m
         ("position_level", "f8"),  # its typical size, m
         ("pull_short", "f8", 2),  # short mean of position minus velocity, from the last fix, m
