@@ -12,7 +12,7 @@ import pytest
 
 from twin.channels import MEASUREMENTS
 from twin.logs.diagnosis.diagnose import diagnose
-from twin.logs.diagnosis.findings import NOTE, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
 
@@ -218,6 +218,33 @@ def test_fixes_that_stand_to_the_end_are_named(vessel: str, velocity: bool) -> N
     found = {finding.code: finding for finding in found_with(fault, vessel)}
     assert found["fix-stands"].evidence["longest_s"] > 15.0
     assert 115.0 < found["fix-stands"].evidence["at_s"] < 135.0
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_fixes_that_stand_for_long_are_the_only_error(velocity: bool) -> None:
+    """The jump that ends a stand is no jump, and the velocity over ground is sound."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 50.0) & (t < 110.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        if not velocity:
+            z[:, [VX, VY]] = np.nan
+
+    (found,) = (each for each in found_with(fault, "usv75") if each.severity != NOTE)
+    assert (found.code, found.severity) == ("fix-stands", ERROR)
+    assert found.evidence["most_m"] > 50.0
+    assert abs(found.evidence["at_s"] - 50.0) < 2.0
+    assert abs(found.evidence["until_s"] - 110.0) < 2.0
+
+
+def test_a_velocity_is_not_blamed_for_fixes_that_stand_to_the_end() -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+
+    assert serious(found_with(fault)) == ["fix-stands"]
 
 
 def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:

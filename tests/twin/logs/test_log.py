@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 from tests.twin.logs.reading import refused
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import REQUIRED
+from twin.logs.diagnosis.position import find_jumps
 from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 
@@ -537,6 +538,26 @@ def test_a_jump_that_stays_is_refused(tmp_path: Path, gap: int) -> None:
     message = refused(save(tmp_path / "a.csv", as_text(table)))
     assert f"line {302 + gap}: the position jumps by " in message
     assert "and stays away. Read the pieces one by one with start_s and stop_s" in message
+
+
+def test_a_jump_that_ends_a_stand_is_accepted(tmp_path: Path) -> None:
+    table = straight_ahead_log(1200, 0.0)
+    noise = 0.05 * np.random.default_rng(0).standard_normal((2, 600))
+    for name, each in zip(("gps_x_m", "gps_y_m"), noise, strict=True):
+        table[name][300:900] = table[name][300] + each
+    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
+    assert np.isfinite(log.z[:, 0]).all()
+
+
+def test_a_false_fix_of_a_boat_that_stopped_is_left_out() -> None:
+    t = np.arange(0.0, 300.0, 0.2)
+    x = 0.3 * np.cumsum((t < 100.0) | (t > 180.0))
+    fix = np.column_stack([x, np.zeros_like(x)])
+    fix += 0.05 * np.random.default_rng(0).standard_normal(fix.shape)
+    fix[800, 1] += 100.0
+    jumps = find_jumps(t, fix)
+    assert jumps is not None
+    assert jumps.lost.tolist() == [800]
 
 
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:

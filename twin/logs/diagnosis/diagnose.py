@@ -20,6 +20,7 @@ from twin.logs.diagnosis.attitude import (
 )
 from twin.logs.diagnosis.commands import check_commands
 from twin.logs.diagnosis.findings import ERROR, NOTE, SEVERITIES, WARNING, Finding, Recording
+from twin.logs.diagnosis.fixes import find_stands, within
 from twin.logs.diagnosis.forces import check_forces
 from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
 from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
@@ -198,6 +199,22 @@ def without_jumps(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def without_stands(recording: Recording) -> Recording:
+    """Return a recording in which fixes that stand still while the boat goes are NaN.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without jumps.
+    """
+    stands = find_stands(recording, *recording.samples("gps_x_m", "gps_y_m"))
+    if not stands:
+        return recording
+    z = recording.z.copy()
+    z[within(recording.t, stands), :2] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def without_fixes(recording: Recording) -> Recording:
     """Return a recording without positions."""
     z = recording.z.copy()
@@ -279,7 +296,8 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     found = _cells(recording, timing) + marks + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
     position = check_position(recording, gps_sd)
-    kept = clean = without_jumps(recording)
+    kept = without_jumps(recording)
+    clean = without_stands(kept)  # they would blame the velocity, the compass and the commands
     if any(finding.code == "position-degrees" for finding in position):
         # ways in degrees would blame the commands
         clean = without_fixes(recording)

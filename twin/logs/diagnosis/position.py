@@ -10,7 +10,13 @@ import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
-from twin.logs.diagnosis.fixes import check_fixes
+from twin.logs.diagnosis.fixes import (
+    MANY,
+    check_fixes,
+    find_stands,
+    rows_that_catch_up,
+    within,
+)
 from twin.logs.diagnosis.signals import (
     ENOUGH,
     averaged,
@@ -93,18 +99,28 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     ----------
     t, fix : ndarray, shape (N,) and (N, 2)
         Times, s, and positions, m; NaN in rows without a fix.
+
+    Notes
+    -----
+    A boat goes on while its fixes stand still. So where they catch up, the way counts from the
+    start of the stand.
     """
     rows = np.flatnonzero(np.isfinite(fix).all(axis=1))
     if len(rows) < 2:
         return None
     t, fix = t[rows], fix[rows]
+    length = np.hypot(*np.diff(fix, axis=0).T)
+    if not (length > _JUMP + _FAST * np.diff(t)).any():
+        return None
+    known = t.copy()
+    for start_of, last in rows_that_catch_up(t, fix):
+        known[last] = t[start_of]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
-        return np.asarray(way <= _JUMP + _FAST * (t[then] - t[first]), dtype=np.bool_)
+        return np.asarray(way <= _JUMP + _FAST * (t[then] - known[first]), dtype=np.bool_)
 
-    length = np.hypot(*np.diff(fix, axis=0).T)
-    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
+    broken = np.flatnonzero(length > _JUMP + _FAST * (t[1:] - known[:-1]))
     if not len(broken):
         return None
     # The longest chain of pieces, each of which can be reached from the one before.
@@ -300,7 +316,7 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
         lost = len(jumps.lost)
         found.append(
             Finding(
-                WARNING if lost < 0.1 * len(t) else ERROR,
+                WARNING if lost < MANY * len(t) else ERROR,
                 "fix-jumps",
                 f"{names}: {lost} of {len(t)} fixes cannot be reached from the others (a jump of "
                 f"{jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)",
@@ -323,8 +339,10 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
                 stamps._asdict(),
             )
         )
-    found += check_fixes(recording, t, fix)
-    fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
+    stands = find_stands(recording, t, fix)
+    found += check_fixes(recording, t, fix, stands)
+    going = ~within(t, stands)
+    fit = velocity_on_fixes((t[going], fix[going]), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
 
 
