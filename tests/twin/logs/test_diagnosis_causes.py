@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from twin.channels import MEASUREMENTS
+from twin.logs.datum import Plane
 from twin.logs.diagnosis.diagnose import diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
 from twin.sim.bridge import simulate
@@ -245,6 +246,20 @@ def test_a_velocity_is_not_blamed_for_fixes_that_stand_to_the_end() -> None:
         z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
 
     assert serious(found_with(fault)) == ["fix-stands"]
+
+
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+def test_exchanged_latitude_and_longitude_are_the_only_finding(manoeuvre: str) -> None:
+    """The speed over ground tells it, also on a straight track, and is not blamed."""
+    sound = simulated("otter", manoeuvre)
+    latitude, longitude = Plane(63.4, 10.4).degrees(*sound.z[:, [X, Y]].T)
+    wrong = Plane(10.4, 63.4)
+    z = sound.z.copy()
+    z[:, [X, Y]] = np.column_stack(wrong.metres(longitude, latitude))
+    found = diagnose(dataclasses.replace(sound, z=z, plane=wrong)).findings
+    assert serious(list(found)) == ["position-exchanged"]
+    found = diagnose(dataclasses.replace(sound, plane=Plane(63.4, 10.4))).findings
+    assert serious(list(found)) == []
 
 
 def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:

@@ -72,7 +72,7 @@ def log_check_command(
     table = read_table(log, mapping)
     known = ship is not None or has_particulars(log)
     boat = particulars_for_log(log, ship, mapping) if known else None
-    recording = Recording.of(table.data, table.given, table.name)
+    recording = Recording.of(table.data, table.given, table.name, table.plane)
     found = diagnose(recording, boat)
     extra = []
     if table.lacking:

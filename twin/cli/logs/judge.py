@@ -94,7 +94,7 @@ def findings_of(
     if until is not None:
         kept = data["t_s"] <= until
         data = {name: column[kept] for name, column in data.items()}
-    return diagnose(Recording.of(data, table.given, table.name), particulars).findings
+    return diagnose(Recording.of(data, table.given, table.name, table.plane), particulars).findings
 
 
 def print_verdict(verdict: Verdict) -> None:

@@ -29,6 +29,7 @@ from twin.logs.diagnosis.position import (
     VelocityFit,
     agrees,
     check_position,
+    exchanged,
     find_jumps,
     fix_stamps,
     velocity_on_fixes,
@@ -62,6 +63,7 @@ _CAUSES = (
     "time-back",
     "time-unit",
     "position-degrees",
+    "position-exchanged",
     "compass-degrees",
     "compass-reversed",
     "track-mirrored",
@@ -295,8 +297,8 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     timing = check_timing(recording)
     found = _cells(recording, timing) + marks + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
-    position = check_position(recording, gps_sd)
-    kept = without_jumps(recording)
+    kept, swapped = exchanged(without_jumps(recording))
+    position = swapped + check_position(kept if swapped else recording, gps_sd)
     clean = without_stands(kept)  # they would blame the velocity, the compass and the commands
     if any(finding.code == "position-degrees" for finding in position):
         # ways in degrees would blame the commands

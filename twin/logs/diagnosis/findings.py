@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array
+from twin.logs.datum import Plane
 from twin.logs.readers import merged
 
 __all__ = [
@@ -85,6 +86,8 @@ class Recording:
         Cells that were infinite, and are NaN here.
     clashes : int
         Rows with the time of the row before and other values.
+    plane : Plane, optional
+        On which positions are measured, where the file has latitude and longitude.
     """
 
     t: Array
@@ -95,9 +98,16 @@ class Recording:
     name: str = "log"
     infinite: int = 0
     clashes: int = 0
+    plane: Plane | None = None
 
     @classmethod
-    def of(cls, data: Mapping[str, Array], given: Mapping[str, str], name: str) -> Recording:
+    def of(
+        cls,
+        data: Mapping[str, Array],
+        given: Mapping[str, str],
+        name: str,
+        plane: Plane | None = None,
+    ) -> Recording:
         """Return the recording in the columns of a table, with the rows whose time advances.
 
         Parameters
@@ -108,6 +118,8 @@ class Recording:
             What the file calls them.
         name : str
             Of the log.
+        plane : Plane, optional
+            On which positions are measured.
         """
         stamps = np.asarray(data[TIME], dtype=np.float64)
         valid = np.isfinite(stamps)
@@ -127,7 +139,7 @@ class Recording:
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
         clashes = clashing_rows(data)
-        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite, clashes)
+        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""

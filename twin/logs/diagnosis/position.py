@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.logs.columns import Array
+from twin.logs.datum import Plane
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
 from twin.logs.diagnosis.fixes import (
     MANY,
@@ -33,6 +35,7 @@ __all__ = [
     "VelocityFit",
     "agrees",
     "check_position",
+    "exchanged",
     "find_jumps",
     "fix_stamps",
     "in_degrees",
@@ -44,6 +47,9 @@ _JUMP, _FAST = 50.0, 30.0
 
 _FAR = 1e9
 """No boat goes farther than this between two fixes, m, whatever the unit."""
+
+_TOP_LATITUDE = 89.0
+"""Where longitudes are larger, degrees, they are no latitudes."""
 
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
@@ -72,6 +78,10 @@ _UNITS = {
 
 _UNIT_NEAR, _RATIO_NEAR = 0.06, 0.15
 """A ratio within this share of a unit's is that unit; within this share of 1 it is sound."""
+
+_STRAIGHT, _COHERENT, _EXCHANGED = math.radians(10.0), 0.9, 0.05
+"""A velocity points along the track of the fixes within this angle, with this coherence. If only
+fixes with latitude and longitude exchanged do so, as fast within this share, they are exchanged."""
 
 _AGREES_ANGLE, _AGREES_COHERENCE = math.radians(45.0), 0.7
 """Angle and coherence beyond which a velocity contradicts the track of the fixes."""
@@ -344,6 +354,47 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
     going = ~within(t, stands)
     fit = velocity_on_fixes((t[going], fix[going]), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
+
+
+def exchanged(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Return a recording, with latitude and longitude exchanged where the velocity says so.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without jumps.
+
+    Notes
+    -----
+    A degree of longitude is shorter than one of latitude. So exchanged ones also change the length
+    of the way, and a velocity over ground whose axes are exchanged does not fit them.
+    """
+    plane = recording.plane
+    if plane is None or abs(plane.longitude) > _TOP_LATITUDE:
+        return recording, []
+    velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    as_given = velocity_on_fixes(recording.samples("gps_x_m", "gps_y_m"), velocity)
+    if as_given is None or _points_along(as_given):
+        return recording, []
+    latitude, longitude = plane.degrees(*recording.z[:, :2].T)
+    z = recording.z.copy()
+    z[:, :2] = np.column_stack(Plane(plane.longitude, plane.latitude).metres(longitude, latitude))
+    mended = replace(recording, z=z)
+    fit = velocity_on_fixes(mended.samples("gps_x_m", "gps_y_m"), velocity)
+    if fit is None or not _points_along(fit) or abs(fit.ratio - 1.0) > _EXCHANGED:
+        return recording, []
+    what = (
+        f"{recording.called('gps_x_m', 'gps_y_m')}: latitude and longitude are exchanged; the "
+        "other way round, the fixes go as the speed over ground says"
+    )
+    remedy = "exchange the two in the mapping; the rest is checked as if they were"
+    evidence = {"ratio": as_given.ratio, "ratio_exchanged": fit.ratio}
+    return mended, [Finding(ERROR, "position-exchanged", what, remedy, evidence)]
+
+
+def _points_along(fit: VelocityFit) -> bool:
+    """Return whether a velocity points along the track of the fixes."""
+    return fit.coherence > _COHERENT and abs(fit.turned) < _STRAIGHT
 
 
 def _raised(scatter: float, gps_sd: float) -> str:
