@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.columns import Array
+from twin.logs.diagnosis.clock import set_back_remedy
 from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
 from twin.logs.diagnosis.position import find_jumps
@@ -56,7 +57,7 @@ def checked_time(t: Array, table: Table) -> Array:
     step = np.diff(t)
     if (step <= 0.0).any():
         row = int(np.argmax(step <= 0.0)) + 1
-        remedy = "sort the rows by time"
+        remedy = set_back_remedy(t)
         if step[row - 1] == 0.0:
             remedy = "record fractions of a second, or keep one row of each time"
         raise LogError(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from twin.channels import MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.datum import Plane
 from twin.logs.diagnosis.diagnose import diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
@@ -271,6 +271,44 @@ def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
         cmd[t > 100.0] = 0.0
 
     assert "fix-stands" not in {finding.code for finding in found_with(stopped)}
+
+
+def with_stamps(stamps: np.ndarray, vessel: str = "otter") -> list[Finding]:
+    sound = simulated(vessel)
+    data = {"t_s": stamps, **dict(zip(MEASUREMENTS, sound.z.T, strict=True))}
+    data |= dict(zip(COMMANDS, sound.cmd.T, strict=True))
+    return list(diagnose(Recording.of(data, {}, "log")).findings)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 3.0, 20.0])
+def test_a_clock_set_back_is_the_only_finding(seconds: float) -> None:
+    t = simulated("otter").t
+    (found,) = (each for each in with_stamps(t - seconds * (t > 60.0)) if each.severity != NOTE)
+    assert found.code == "time-back"
+    assert found.evidence["set_back_s"] == pytest.approx(seconds, abs=0.02)
+    assert f"add {seconds:.2f} s to all later stamps" in found.remedy
+
+
+def test_single_rows_out_of_order_are_to_be_sorted() -> None:
+    t = simulated("otter").t.copy()
+    t[[500, 501, 900, 901]] = t[[501, 500, 901, 900]]
+    found = {each.code: each for each in with_stamps(t)}
+    assert "sort the rows by time" in found["time-back"].remedy
+    # a log that starts again is no clock that was set
+    t = simulated("otter").t
+    found = {each.code: each for each in with_stamps(np.where(t > 75.0, t - 75.0, t))}
+    assert "set_back_s" not in found["time-back"].evidence
+
+
+def test_a_clock_set_forward_is_told_from_a_gap() -> None:
+    sound = simulated("usv75")
+    t, length = sound.t, 10.0
+    found = {each.code: each for each in with_stamps(t + length * (t > 60.0), "usv75")}
+    assert "the clock was set forward" in found["time-gaps"].remedy
+    kept = (t < 60.0) | (t > 60.0 + length)
+    parts = {"t": t[kept], "stamps": t[kept], "z": sound.z[kept], "cmd": sound.cmd[kept]}
+    found = {each.code: each for each in diagnose(dataclasses.replace(sound, **parts)).findings}
+    assert "the clock was set forward" not in found["time-gaps"].remedy
 
 
 def test_rows_out_of_order_are_not_too_few() -> None:

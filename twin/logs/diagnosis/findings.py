@@ -12,6 +12,7 @@ import numpy.typing as npt
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
+from twin.logs.diagnosis.clock import run_on
 from twin.logs.readers import merged
 
 __all__ = [
@@ -71,7 +72,7 @@ class Recording:
     Parameters
     ----------
     t : ndarray, shape (N,)
-        Time, s, strictly increasing.
+        Time, s, strictly increasing; where the clock was set back, as if it were not.
     z : ndarray, shape (N, 19)
         Measurements in the order of ``MEASUREMENTS``; NaN where there is none.
     cmd : ndarray, shape (N, 4)
@@ -122,9 +123,11 @@ class Recording:
             On which positions are measured.
         """
         stamps = np.asarray(data[TIME], dtype=np.float64)
-        valid = np.isfinite(stamps)
-        latest = np.maximum.accumulate(np.where(valid, stamps, -np.inf))
-        kept = valid & (stamps > np.append(-np.inf, latest[:-1]))
+        # a step of the clock makes no sensor jump
+        times = run_on(stamps)
+        valid = np.isfinite(times)
+        latest = np.maximum.accumulate(np.where(valid, times, -np.inf))
+        kept = valid & (times > np.append(-np.inf, latest[:-1]))
 
         def stack(names: tuple[str, ...]) -> Array:
             table = np.full((int(kept.sum()), len(names)), np.nan)
@@ -139,7 +142,7 @@ class Recording:
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
         clashes = clashing_rows(data)
-        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
+        return cls(times[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""
