@@ -311,6 +311,16 @@ def test_a_clock_set_forward_is_told_from_a_gap() -> None:
     assert "the clock was set forward" not in found["time-gaps"].remedy
 
 
+@pytest.mark.parametrize("columns", [(5,), (PSI,), (VX, VY)])
+def test_a_dead_sensor_is_named_once(columns: tuple[int, ...]) -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        seen = np.isfinite(z[:, columns[0]])
+        for column in columns:
+            z[seen, column] = 0.0
+
+    assert serious(found_with(fault)) == ["sensor-dead"]
+
+
 def test_rows_out_of_order_are_not_too_few() -> None:
     sound = simulated("otter")
     order = np.random.default_rng(0).permutation(len(sound.t))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from twin.logs.columns import Array
@@ -94,5 +96,5 @@ def stood_in_gap(t: Array, fix: Array, start: float, end: float) -> bool:
     ]
     way = min(speeds) * (end - start)
     gone = float(np.hypot(*(fix[after[0]] - fix[before[-1]])))
-    noise = float(np.hypot(*(white_noise(t, column) for column in fix.T)))
+    noise = math.hypot(*(white_noise(t, column) for column in fix.T))
     return way > _SEEN * noise and gone < _STOOD * way
