@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.logs.clock import set_back_remedy
 from twin.logs.columns import Array
-from twin.logs.diagnosis.clock import set_back_remedy
 from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
 from twin.logs.diagnosis.position import find_jumps

@@ -14,6 +14,7 @@ from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.datum import Plane
 from twin.logs.diagnosis.diagnose import diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
+from twin.logs.diagnosis.position import find_jumps
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
 
@@ -262,6 +263,17 @@ def test_exchanged_latitude_and_longitude_are_the_only_finding(manoeuvre: str) -
     assert serious(list(found)) == []
 
 
+def test_a_false_fix_of_a_boat_that_stopped_is_left_out() -> None:
+    t = np.arange(0.0, 300.0, 0.2)
+    x = 0.3 * np.cumsum((t < 100.0) | (t > 180.0))
+    fix = np.column_stack([x, np.zeros_like(x)])
+    fix += 0.05 * np.random.default_rng(0).standard_normal(fix.shape)
+    fix[800, 1] += 100.0
+    jumps = find_jumps(t, fix)
+    assert jumps is not None
+    assert jumps.lost.tolist() == [800]
+
+
 def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
     def stopped(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
         rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
@@ -300,7 +312,7 @@ def test_single_rows_out_of_order_are_to_be_sorted() -> None:
     assert "set_back_s" not in found["time-back"].evidence
 
 
-def test_a_clock_set_forward_is_told_from_a_gap() -> None:
+def test_a_clock_set_forward_is_no_gap() -> None:
     sound = simulated("usv75")
     t, length = sound.t, 10.0
     found = {each.code: each for each in with_stamps(t + length * (t > 60.0), "usv75")}

@@ -16,7 +16,6 @@ from hypothesis.extra import numpy as hnp
 from tests.twin.logs.reading import refused
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import REQUIRED
-from twin.logs.diagnosis.position import find_jumps
 from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 
@@ -557,17 +556,6 @@ def test_a_jump_that_ends_a_stand_is_accepted(tmp_path: Path) -> None:
         table[name][300:900] = table[name][300] + each
     log = Log.read(save(tmp_path / "a.csv", as_text(table)))
     assert np.isfinite(log.z[:, 0]).all()
-
-
-def test_a_false_fix_of_a_boat_that_stopped_is_left_out() -> None:
-    t = np.arange(0.0, 300.0, 0.2)
-    x = 0.3 * np.cumsum((t < 100.0) | (t > 180.0))
-    fix = np.column_stack([x, np.zeros_like(x)])
-    fix += 0.05 * np.random.default_rng(0).standard_normal(fix.shape)
-    fix[800, 1] += 100.0
-    jumps = find_jumps(t, fix)
-    assert jumps is not None
-    assert jumps.lost.tolist() == [800]
 
 
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:

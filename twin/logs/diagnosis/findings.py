@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
+from twin.logs.clock import run_on
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
-from twin.logs.diagnosis.clock import run_on
 from twin.logs.readers import merged
 
 __all__ = [

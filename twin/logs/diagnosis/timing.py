@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS
+from twin.logs.clock import SORT, set_back, stood_in_gap
 from twin.logs.columns import Array
-from twin.logs.diagnosis.clock import SORT, set_back, stood_in_gap
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording, repeated
 from twin.logs.diagnosis.signals import ENOUGH, robust_sd, runs_of
 

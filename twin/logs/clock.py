@@ -21,7 +21,7 @@ again, or its sensors stand one after the other."""
 _DENSE = 1.5
 """Sorted rows around a step of the clock are so many times as dense as others: it is twice."""
 
-_BESIDE = 3.0
+_SPEED_TIME = 3.0
 """A boat's speed beside a gap is that over so many seconds."""
 
 _STOOD, _SEEN = 0.5, 6.0
@@ -86,8 +86,8 @@ def stood_in_gap(t: Array, fix: Array, start: float, end: float) -> bool:
     start, end : float
         Of the gap, s.
     """
-    before = np.flatnonzero((t <= start) & (t > start - _BESIDE))
-    after = np.flatnonzero((t >= end) & (t < end + _BESIDE))
+    before = np.flatnonzero((t <= start) & (t > start - _SPEED_TIME))
+    after = np.flatnonzero((t >= end) & (t < end + _SPEED_TIME))
     if min(len(before), len(after)) < 2 or len(t) < ENOUGH:
         return False
     speeds = [
