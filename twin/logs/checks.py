@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.logs.clock import set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
@@ -56,7 +57,7 @@ def checked_time(t: Array, table: Table) -> Array:
     step = np.diff(t)
     if (step <= 0.0).any():
         row = int(np.argmax(step <= 0.0)) + 1
-        remedy = "sort the rows by time"
+        remedy = set_back_remedy(t)
         if step[row - 1] == 0.0:
             remedy = "record fractions of a second, or keep one row of each time"
         raise LogError(
@@ -130,9 +131,9 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
             "cells empty or remove the column"
         )
     if count < rows:
-        table.notes.append(
-            f"{given}: no value in {rows - count} of {rows} rows ({_longest_gap(t, valid)})"
-        )
+        note = f"{given}: no value in {rows - count} of {rows} rows ({_longest_gap(t, valid)})"
+        if note not in table.notes:  # one column of the file may give two
+            table.notes.append(note)
     if name in ("compass_rad", "wind_from_rad", "apparent_wind_rad"):
         _check_angle(values, name, table)
 
@@ -207,21 +208,21 @@ def drop_jumps(t: Array, z: Array, table: Table) -> None:
         f"{table.line(jumps.after)}: the position jumps by {jumps.length:.4g} m in "
         f"{t[jumps.after] - t[jumps.before]:.3g} s"
     )
-    given = [table.given[name] for name in MEASUREMENTS[:2]]
+    given = _called(table, slice(0, 2))
     if lost > _LOST * jumps.fixes:
         raise LogError(
-            f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
+            f"{table.source}: column(s) {given}, "
             f"{where} and stays away. Read the pieces one by one with start_s and stop_s in [rows] "
             "of a mapping file, or empty the false cells"
         )
     z[jumps.lost, :2] = np.nan
     table.notes.append(
-        f"gps_x_m, gps_y_m: {lost} of {jumps.fixes} fixes cannot be reached from the others, left "
+        f"{given}: {lost} of {jumps.fixes} fixes cannot be reached from the others, left "
         f"out ({where})"
     )
 
 
-def drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
+def drop_repeats(t: Array, z: Array, table: Table) -> None:
     """Set samples that only repeat the last one to NaN, in place."""
     fix, velocity = slice(0, 2), slice(2, 4)
     compass = slice(4, 5)
@@ -236,10 +237,15 @@ def drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
             total = int((~np.isnan(z[:, part]).any(axis=1)).sum())
             z[stands, part] = np.nan
             gap = _longest_gap(t, ~stands & np.isfinite(z[:, part.start]))
-            notes.append(
-                f"{', '.join(MEASUREMENTS[part])}: {stands.sum()} of {total} {what} repeat the "
+            table.notes.append(
+                f"{_called(table, part)}: {stands.sum()} of {total} {what} repeat the "
                 f"last one, taken as no new sample ({gap})"
             )
+
+
+def _called(table: Table, part: slice) -> str:
+    """Return what the file calls measurements, each once."""
+    return ", ".join(dict.fromkeys(table.given.get(name, name) for name in MEASUREMENTS[part]))
 
 
 def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:

@@ -525,7 +525,7 @@ def assemble(table: Table) -> Log:
         if name in names:
             z[:, j] = column(name)
             check_measurement(t, z[:, j], name, table)
-    drop_repeats(t, z, notes)
+    drop_repeats(t, z, table)
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # these may be any numbers: no check of jumps and turning

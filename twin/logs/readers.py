@@ -189,7 +189,13 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     plane = None
     for entry in entries:
         values = [raw[source] for source in entry.sources]
-        plane = entry.plane(values) if entry.plane is not None else plane
+        if entry.plane is not None:
+            plane = entry.plane(values)
+            if none := int(((values[0] == 0.0) & (values[1] == 0.0)).sum()):
+                notes.append(
+                    f"{' and '.join(entry.sources)}: {none} of {len(place)} positions are (0, 0), "
+                    "as of a receiver without a fix, taken as empty"
+                )
         made = entry.columns(values)
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}

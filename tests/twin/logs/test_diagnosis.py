@@ -482,7 +482,7 @@ def found_in(folder: str, run: str) -> dict[str, Finding]:
     boats = {"otter_oslofjord": "otter.toml", "blueboat_trondheim": "blueboat.toml"}
     boat = DATA / folder / boats[folder] if folder in boats else None
     found = diagnose(
-        Recording.of(table.data, table.given, table.name),
+        Recording.of(table.data, table.given, table.name, table.plane),
         Particulars.load(boat) if boat else datasets.ship(path),
     )
     return {f.code: f for f in found.findings if f.severity != NOTE}

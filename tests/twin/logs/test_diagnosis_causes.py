@@ -10,9 +10,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from twin.channels import MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.datum import Plane
 from twin.logs.diagnosis.diagnose import diagnose
-from twin.logs.diagnosis.findings import NOTE, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
+from twin.logs.diagnosis.position import find_jumps
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
 
@@ -220,6 +222,58 @@ def test_fixes_that_stand_to_the_end_are_named(vessel: str, velocity: bool) -> N
     assert 115.0 < found["fix-stands"].evidence["at_s"] < 135.0
 
 
+@pytest.mark.parametrize("velocity", [True, False])
+def test_fixes_that_stand_for_long_are_the_only_error(velocity: bool) -> None:
+    """The jump that ends a stand is no jump, and the velocity over ground is sound."""
+
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 50.0) & (t < 110.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+        if not velocity:
+            z[:, [VX, VY]] = np.nan
+
+    (found,) = (each for each in found_with(fault, "usv75") if each.severity != NOTE)
+    assert (found.code, found.severity) == ("fix-stands", ERROR)
+    assert found.evidence["most_m"] > 50.0
+    assert abs(found.evidence["at_s"] - 50.0) < 2.0
+    assert abs(found.evidence["until_s"] - 110.0) < 2.0
+
+
+def test_a_velocity_is_not_blamed_for_fixes_that_stand_to_the_end() -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
+        noise = 0.05 * np.random.default_rng(1).standard_normal((len(rows), 2))
+        z[rows[:, None], [X, Y]] = z[rows[0], [X, Y]] + noise
+
+    assert serious(found_with(fault)) == ["fix-stands"]
+
+
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+def test_exchanged_latitude_and_longitude_are_the_only_finding(manoeuvre: str) -> None:
+    """The speed over ground tells it, also on a straight track, and is not blamed."""
+    sound = simulated("otter", manoeuvre)
+    latitude, longitude = Plane(63.4, 10.4).degrees(*sound.z[:, [X, Y]].T)
+    wrong = Plane(10.4, 63.4)
+    z = sound.z.copy()
+    z[:, [X, Y]] = np.column_stack(wrong.metres(longitude, latitude))
+    found = diagnose(dataclasses.replace(sound, z=z, plane=wrong)).findings
+    assert serious(list(found)) == ["position-exchanged"]
+    found = diagnose(dataclasses.replace(sound, plane=Plane(63.4, 10.4))).findings
+    assert serious(list(found)) == []
+
+
+def test_a_false_fix_of_a_boat_that_stopped_is_left_out() -> None:
+    t = np.arange(0.0, 300.0, 0.2)
+    x = 0.3 * np.cumsum((t < 100.0) | (t > 180.0))
+    fix = np.column_stack([x, np.zeros_like(x)])
+    fix += 0.05 * np.random.default_rng(0).standard_normal(fix.shape)
+    fix[800, 1] += 100.0
+    jumps = find_jumps(t, fix)
+    assert jumps is not None
+    assert jumps.lost.tolist() == [800]
+
+
 def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
     def stopped(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
         rows = np.flatnonzero((t > 100.0) & np.isfinite(z[:, X]))
@@ -229,6 +283,54 @@ def test_a_boat_that_is_stopped_does_not_stand_by_fault() -> None:
         cmd[t > 100.0] = 0.0
 
     assert "fix-stands" not in {finding.code for finding in found_with(stopped)}
+
+
+def with_stamps(stamps: np.ndarray, vessel: str = "otter") -> list[Finding]:
+    sound = simulated(vessel)
+    data = {"t_s": stamps, **dict(zip(MEASUREMENTS, sound.z.T, strict=True))}
+    data |= dict(zip(COMMANDS, sound.cmd.T, strict=True))
+    return list(diagnose(Recording.of(data, {}, "log")).findings)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 3.0, 20.0])
+def test_a_clock_set_back_is_the_only_finding(seconds: float) -> None:
+    t = simulated("otter").t
+    (found,) = (each for each in with_stamps(t - seconds * (t > 60.0)) if each.severity != NOTE)
+    assert found.code == "time-back"
+    assert found.evidence["set_back_s"] == pytest.approx(seconds, abs=0.02)
+    assert f"add {seconds:.2f} s to all later stamps" in found.remedy
+
+
+def test_single_rows_out_of_order_are_to_be_sorted() -> None:
+    t = simulated("otter").t.copy()
+    t[[500, 501, 900, 901]] = t[[501, 500, 901, 900]]
+    found = {each.code: each for each in with_stamps(t)}
+    assert "sort the rows by time" in found["time-back"].remedy
+    # a log that starts again is no clock that was set
+    t = simulated("otter").t
+    found = {each.code: each for each in with_stamps(np.where(t > 75.0, t - 75.0, t))}
+    assert "set_back_s" not in found["time-back"].evidence
+
+
+def test_a_clock_set_forward_is_no_gap() -> None:
+    sound = simulated("usv75")
+    t, length = sound.t, 10.0
+    found = {each.code: each for each in with_stamps(t + length * (t > 60.0), "usv75")}
+    assert "the clock was set forward" in found["time-gaps"].remedy
+    kept = (t < 60.0) | (t > 60.0 + length)
+    parts = {"t": t[kept], "stamps": t[kept], "z": sound.z[kept], "cmd": sound.cmd[kept]}
+    found = {each.code: each for each in diagnose(dataclasses.replace(sound, **parts)).findings}
+    assert "the clock was set forward" not in found["time-gaps"].remedy
+
+
+@pytest.mark.parametrize("columns", [(5,), (PSI,), (VX, VY)])
+def test_a_dead_sensor_is_named_once(columns: tuple[int, ...]) -> None:
+    def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray) -> None:
+        seen = np.isfinite(z[:, columns[0]])
+        for column in columns:
+            z[seen, column] = 0.0
+
+    assert serious(found_with(fault)) == ["sensor-dead"]
 
 
 def test_rows_out_of_order_are_not_too_few() -> None:

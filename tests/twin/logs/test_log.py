@@ -539,6 +539,25 @@ def test_a_jump_that_stays_is_refused(tmp_path: Path, gap: int) -> None:
     assert "and stays away. Read the pieces one by one with start_s and stop_s" in message
 
 
+def test_a_clock_that_was_set_back_is_not_to_be_sorted(tmp_path: Path) -> None:
+    table = straight_ahead_log()
+    table["t_s"][300:] -= 3.0
+    message = refused(save(tmp_path / "a.csv", as_text(table)))
+    assert "the clock was set back: add 3 s to all stamps from there on" in message
+    table["t_s"] = straight_ahead_log()["t_s"]
+    table["t_s"][[300, 301]] = table["t_s"][[301, 300]]
+    assert "sort the rows by time" in refused(save(tmp_path / "a.csv", as_text(table)))
+
+
+def test_a_jump_that_ends_a_stand_is_accepted(tmp_path: Path) -> None:
+    table = straight_ahead_log(1200, 0.0)
+    noise = 0.05 * np.random.default_rng(0).standard_normal((2, 600))
+    for name, each in zip(("gps_x_m", "gps_y_m"), noise, strict=True):
+        table[name][300:900] = table[name][300] + each
+    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
+    assert np.isfinite(log.z[:, 0]).all()
+
+
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:
     table = straight_ahead_log(3000)
     table["gps_x_m"] += 500.0 * np.random.default_rng(0).standard_normal(3000)

@@ -163,7 +163,7 @@ def test_one_of_two_sides_is_missed_when_left_out(tmp_path: Path) -> None:
 def diagnosed(boat: Particulars, shaft: float = 1.0, jitter: float = 0.0) -> Diagnosis:
     path = recorded_runs()[NAME]
     table = read_table(path)
-    recording = Recording.of(table.data, table.given, table.name)
+    recording = Recording.of(table.data, table.given, table.name, table.plane)
     z, cmd = recording.z.copy(), recording.cmd.copy()
     cmd[:, :2] *= shaft
     if jitter:

@@ -162,6 +162,28 @@ def test_latitude_longitude_and_date_become_the_datum(tmp_path, stated):
         np.testing.assert_allclose(again.z[3:, :2], log.z[3:, :2], atol=1e-6)
 
 
+def test_notes_name_the_columns_of_the_file_once_and_count_empty_positions(tmp_path):
+    log = run()
+    latitude, longitude = HERE.plane.degrees(log.z[:, 0], log.z[:, 1])
+    latitude[20:25], longitude[20:25] = 0.0, 0.0
+    heading = log.z[:, 4].copy()
+    heading[31] = heading[30]
+    columns = dict(zip(COMMANDS, log.cmd.T, strict=True))
+    frame = {"t_s": log.t, "lat": latitude, "lon": longitude, "hdg": heading, **columns}
+    path = tmp_path / "foreign.csv"
+    pl.DataFrame(frame).fill_nan(None).write_csv(path)
+    (tmp_path / "foreign.mapping.toml").write_text(
+        '[columns]\nt_s = "t_s"\ncompass_rad = "hdg"\n'
+        + "".join(f'{name} = "{name}"\n' for name in COMMANDS)
+        + '[position]\nlatitude = "lat"\nlongitude = "lon"\n',
+        encoding="utf-8",
+    )
+    notes = Log.read(path).notes
+    assert sum("lat and lon: 5 of" in note and "(0, 0)" in note for note in notes) == 1
+    assert sum(note.startswith("lat and lon: no value in") for note in notes) == 1
+    assert any(note.startswith("hdg: ") and "repeat the last one" in note for note in notes)
+
+
 def test_seconds_since_1970_are_a_date(tmp_path):
     log = run(datum=None)
     path = tmp_path / "run.csv"

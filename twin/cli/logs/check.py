@@ -72,7 +72,7 @@ def log_check_command(
     table = read_table(log, mapping)
     known = ship is not None or has_particulars(log)
     boat = particulars_for_log(log, ship, mapping) if known else None
-    recording = Recording.of(table.data, table.given, table.name)
+    recording = Recording.of(table.data, table.given, table.name, table.plane)
     found = diagnose(recording, boat)
     extra = []
     if table.lacking:
@@ -165,19 +165,19 @@ def _print_measured(found: Diagnosis, boat: Particulars | None) -> None:
 def _agreement(found: Diagnosis, boat: Particulars | None) -> list[str]:
     """Return lines on how sensors and commands agree with each other."""
     measured, lines = found.measured, []
-    gyro = measured.gyro
+    gyro, headed = measured.gyro, measured.rates["compass"] > 0.0
     if gyro is not None and abs(gyro.correlation) > 0.8:
         late = f", {gyro.lag:+.2f} s late" if gyro.lag else ""
         lines.append(
             f"gyro against compass: scale {gyro.scale:.3f}, bias {gyro.bias:+.4f} rad/s{late}"
         )
-    elif measured.rates["gyro"]:
+    elif measured.rates["gyro"] and headed:
         lines.append("gyro against compass: cannot tell, the boat turns too little")
     track = measured.track
     if track is not None and track.is_known:
         off, sd = math.degrees(track.legs), math.degrees(track.legs_sd)
         lines.append(f"track against compass: {off:+.1f} degrees (standard deviation {sd:.1f})")
-    else:
+    elif headed:
         lines.append(
             "track against compass: cannot tell; sail legs in opposite directions, or circles to "
             "both sides"

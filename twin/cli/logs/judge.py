@@ -95,7 +95,8 @@ def findings_of(
     if until is not None:
         kept = data["t_s"] <= until
         data = {name: column[kept] for name, column in data.items()}
-    found = diagnose(Recording.of(data, table.given, table.name), particulars)
+    recording = Recording.of(data, table.given, table.name, table.plane)
+    found = diagnose(recording, particulars)
     return (*found.findings, *unknown_offset(found))
 
 

@@ -20,14 +20,23 @@ from twin.logs.diagnosis.attitude import (
 )
 from twin.logs.diagnosis.commands import check_commands
 from twin.logs.diagnosis.findings import ERROR, NOTE, SEVERITIES, WARNING, Finding, Recording
+from twin.logs.diagnosis.fixes import find_stands, within
 from twin.logs.diagnosis.forces import check_forces
-from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
+from twin.logs.diagnosis.heading import (
+    GyroFit,
+    check_dead,
+    check_heading,
+    dead_columns,
+    gyro_lag,
+    gyro_on_compass,
+)
 from twin.logs.diagnosis.imu import TILTED, ImuFit, check_imu, imu_on_fixes
 from twin.logs.diagnosis.position import (
     StampFit,
     VelocityFit,
     agrees,
     check_position,
+    exchanged,
     find_jumps,
     fix_stamps,
     velocity_on_fixes,
@@ -37,6 +46,7 @@ from twin.logs.diagnosis.signs import Effect, check_each_side, check_signs, turn
 from twin.logs.diagnosis.timing import check_timing, sensor_rates
 from twin.logs.diagnosis.track import TrackFit, compass_on_track, thrust
 from twin.particulars import Particulars
+from usv_kernel.channels import GYRO
 
 __all__ = [
     "Diagnosis",
@@ -61,6 +71,7 @@ _CAUSES = (
     "time-back",
     "time-unit",
     "position-degrees",
+    "position-exchanged",
     "compass-degrees",
     "compass-reversed",
     "track-mirrored",
@@ -198,6 +209,22 @@ def without_jumps(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def without_stands(recording: Recording) -> Recording:
+    """Return a recording in which fixes that stand still while the boat goes are NaN.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without jumps.
+    """
+    stands = find_stands(recording, *recording.samples("gps_x_m", "gps_y_m"))
+    if not stands:
+        return recording
+    z = recording.z.copy()
+    z[within(recording.t, stands), :2] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def without_fixes(recording: Recording) -> Recording:
     """Return a recording without positions."""
     z = recording.z.copy()
@@ -275,11 +302,14 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     Diagnosis
     """
     recording, marks = _without_marks(recording)
+    whole, dead = recording, check_dead(recording)
+    recording = _without_dead(recording)  # one would be named again by each comparison
     timing = check_timing(recording)
-    found = _cells(recording, timing) + marks + timing
+    found = _cells(whole, timing) + marks + dead + timing
     gps_sd = 0.0 if particulars is None else particulars.instruments.gps_sd
-    position = check_position(recording, gps_sd)
-    kept = clean = without_jumps(recording)
+    kept, swapped = exchanged(without_jumps(recording))
+    position = swapped + check_position(kept if swapped else recording, gps_sd)
+    clean = without_stands(kept)  # they would blame the velocity, the compass and the commands
     if any(finding.code == "position-degrees" for finding in position):
         # ways in degrees would blame the commands
         clean = without_fixes(recording)
@@ -436,6 +466,16 @@ def _mark_of(value: float, seen: Array, count: npt.NDArray[np.intp]) -> tuple[fl
             if abs(abs(value) - mark * factor) < _DIGITS * abs(value):
                 return value, math.copysign(mark, value)
     return None
+
+
+def _without_dead(recording: Recording) -> Recording:
+    """Return a recording without fixes, velocity, heading and yaw rate that never change."""
+    dead = [j for j in dead_columns(recording) if j <= GYRO]
+    if not dead:
+        return recording
+    z = recording.z.copy()
+    z[:, dead] = np.nan
+    return dataclasses.replace(recording, z=z)
 
 
 def _cells(recording: Recording, timing: list[Finding]) -> list[Finding]:

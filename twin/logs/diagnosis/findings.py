@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
+from twin.logs.clock import run_on
 from twin.logs.columns import Array
+from twin.logs.datum import Plane
 from twin.logs.readers import merged
 
 __all__ = [
@@ -70,7 +72,7 @@ class Recording:
     Parameters
     ----------
     t : ndarray, shape (N,)
-        Time, s, strictly increasing.
+        Time, s, strictly increasing; where the clock was set back, as if it were not.
     z : ndarray, shape (N, 19)
         Measurements in the order of ``MEASUREMENTS``; NaN where there is none.
     cmd : ndarray, shape (N, 4)
@@ -85,6 +87,8 @@ class Recording:
         Cells that were infinite, and are NaN here.
     clashes : int
         Rows with the time of the row before and other values.
+    plane : Plane, optional
+        On which positions are measured, where the file has latitude and longitude.
     """
 
     t: Array
@@ -95,9 +99,16 @@ class Recording:
     name: str = "log"
     infinite: int = 0
     clashes: int = 0
+    plane: Plane | None = None
 
     @classmethod
-    def of(cls, data: Mapping[str, Array], given: Mapping[str, str], name: str) -> Recording:
+    def of(
+        cls,
+        data: Mapping[str, Array],
+        given: Mapping[str, str],
+        name: str,
+        plane: Plane | None = None,
+    ) -> Recording:
         """Return the recording in the columns of a table, with the rows whose time advances.
 
         Parameters
@@ -108,11 +119,15 @@ class Recording:
             What the file calls them.
         name : str
             Of the log.
+        plane : Plane, optional
+            On which positions are measured.
         """
         stamps = np.asarray(data[TIME], dtype=np.float64)
-        valid = np.isfinite(stamps)
-        latest = np.maximum.accumulate(np.where(valid, stamps, -np.inf))
-        kept = valid & (stamps > np.append(-np.inf, latest[:-1]))
+        # a step of the clock makes no sensor jump
+        times = run_on(stamps)
+        valid = np.isfinite(times)
+        latest = np.maximum.accumulate(np.where(valid, times, -np.inf))
+        kept = valid & (times > np.append(-np.inf, latest[:-1]))
 
         def stack(names: tuple[str, ...]) -> Array:
             table = np.full((int(kept.sum()), len(names)), np.nan)
@@ -127,7 +142,7 @@ class Recording:
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
         clashes = clashing_rows(data)
-        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite, clashes)
+        return cls(times[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from twin.logs.columns import Array
-from twin.logs.diagnosis.findings import WARNING, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, runs_of, ways
 from twin.logs.diagnosis.track import thrust
 
-__all__ = ["check_fixes"]
+__all__ = ["MANY", "Stand", "check_fixes", "find_stands", "rows_that_catch_up", "within"]
+
+MANY = 0.1
+"""From this share of the fixes on, false ones spoil a log."""
 
 _OUTLIER = 15.0
 """A fix is out of line if it is aside by more than so many times the median deviation."""
@@ -63,6 +68,9 @@ _PASSED = (0.3, 3.0)
 _GOES = 0.3
 """A boat goes from this share of its typical speed on."""
 
+_LEAPS = 10.0
+"""Fixes beside a stand that go so many times the typical speed leap to a false place and back."""
+
 _DRIVEN, _BEFORE = 0.5, 2
 """A boat is driven from this share of its strong thrust (or speed) on, also in so many windows
 before: it needs time to get under way."""
@@ -79,7 +87,22 @@ _LOW, _CONSISTENT, _OTHERS = 0.1, 0.5, 8
 median, in at least so many other windows."""
 
 
-def check_fixes(recording: Recording, t: Array, fix: Array) -> list[Finding]:
+class Stand(NamedTuple):
+    """A stretch in which fixes stand still while the boat goes."""
+
+    start: float
+    """Time of its first fix, s ..."""
+    end: float
+    """... and of its last."""
+    caught_up: float
+    """Step that ends it, m; 0 where none does."""
+    why: str
+    """What says that the boat goes."""
+    sure: bool
+    """Whether the boat cannot have been held or aground instead."""
+
+
+def check_fixes(recording: Recording, t: Array, fix: Array, stands: list[Stand]) -> list[Finding]:
     """Return a finding where fixes stand still, or else jump aside.
 
     Parameters
@@ -88,15 +111,63 @@ def check_fixes(recording: Recording, t: Array, fix: Array) -> list[Finding]:
         For the names of its columns.
     t, fix : ndarray, shape (N,) and (N, 2)
         Times, s, and positions, m, without those that no boat can reach.
+    stands : list of Stand
+        From :func:`find_stands`.
     """
     if len(t) < 3 * ENOUGH:
         return []
     names = recording.called("gps_x_m", "gps_y_m")
-    return (
-        _stands(names, t, fix)
-        or _stands_driven(recording, t, fix)
-        or _spikes_or_steps(names, t, fix)
+    return _stand(names, t, stands) if stands else _spikes_or_steps(names, t, fix)
+
+
+def find_stands(recording: Recording, t: Array, fix: Array) -> list[Stand]:
+    """Return where fixes stand still while the boat goes.
+
+    Parameters
+    ----------
+    recording, t, fix
+        As for :func:`check_fixes`.
+    """
+    if len(t) < 3 * ENOUGH:
+        return []
+    return [
+        Stand(float(t[i]), float(t[k]), float(np.hypot(*(fix[k + 1] - fix[i]))), "", True)
+        for i, k in rows_that_catch_up(t, fix)
+    ] or _stands_driven(recording, t, fix)
+
+
+def within(t: Array, stands: list[Stand]) -> npt.NDArray[np.bool_]:
+    """Return which times (N,), s, lie in stretches in which fixes stand still."""
+    inside = np.zeros(len(t), dtype=np.bool_)
+    for each in stands:
+        inside |= (t >= each.start) & (t <= each.end)
+    return inside
+
+
+def _stand(names: str, t: Array, stands: list[Stand]) -> list[Finding]:
+    """Return the finding about fixes that stand still."""
+    lost = int(within(t, stands).sum())
+    longest = max(each.end - each.start for each in stands)
+    # of those that catch up the one that is farthest off, else the longest
+    worst = max(stands, key=lambda each: (each.caught_up, each.end - each.start))
+    what = (
+        f"{names}: the fixes stand still for {worst.end - worst.start:.0f} s, from t = "
+        f"{worst.start:.1f} to {worst.end:.1f} s"
     )
+    what += f", and then catch up by {worst.caught_up:.2g} m" if worst.caught_up else ""
+    what += f", while {worst.why}" if worst.why else ""
+    what += f"; {len(stands)} times" if len(stands) > 1 else ""
+    remedy = "the receiver or its filter held the last fix: empty these cells"
+    remedy += "" if worst.sure else "; or the boat was held or aground"
+    evidence = {
+        "most_m": worst.caught_up,
+        "longest_s": longest,
+        "at_s": worst.start,
+        "until_s": worst.end,
+        "times": float(len(stands)),
+    }
+    severity = ERROR if worst.sure and lost > MANY * len(t) else WARNING
+    return [Finding(severity, "fix-stands", what, remedy, evidence)]
 
 
 def _spikes_or_steps(names: str, t: Array, fix: Array) -> list[Finding]:
@@ -156,15 +227,21 @@ def _spikes(names: str, t: Array, fix: Array) -> list[Finding]:
     return [Finding(WARNING, "fix-spikes", what, remedy, evidence)]
 
 
-def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
-    """Return a finding where fixes of a boat that goes stand still, and catch up at once."""
+def rows_that_catch_up(t: Array, fix: Array) -> list[tuple[int, int]]:
+    """Return first and last row of each stretch in which fixes stand still, and then catch up.
+
+    Parameters
+    ----------
+    t, fix : ndarray, shape (N,) and (N, 2)
+        Times, s, and positions, m, of a boat that goes.
+    """
     step = np.hypot(*np.diff(fix, axis=0).T)
     way, middle, width = ways(t, fix)
     speed = np.hypot(*way.T) / width
     speed = speed[np.isfinite(speed)]
     if not len(middle) or not len(speed):
         return []
-    typical = float(np.quantile(speed, _TYPICAL))
+    typical = max(float(np.quantile(speed, _TYPICAL)), 1e-12)
     bound = max(_CATCHES_UP, _CATCHES_UP_STEPS * float(np.median(step)))
     found = []
     for k in np.flatnonzero(step > bound)[:_MOST_STEPS]:
@@ -172,25 +249,16 @@ def _stands(names: str, t: Array, fix: Array) -> list[Finding]:
         length = float(t[k] - t[start])
         if k - start < _STANDS or length < _LONG:
             continue
-        passed = step[k] / (length * max(typical, 1e-12))
-        gone = min(_went(t, fix, start, -1), _went(t, fix, int(k) + 1, 1))
-        if _PASSED[0] < passed < _PASSED[1] and gone > _GOES * typical:
-            found.append((float(step[k]), length, float(t[start])))
-    if not found:
-        return []
-    most, length, at = max(found)
-    longest = max(each[1] for each in found)
-    what = (
-        f"{names}: the fixes stand still for {length:.0f} s and then catch up by {most:.2g} m "
-        f"(from t = {at:.1f} s), {len(found)} time(s)"
-    )
-    remedy = "the receiver or its filter held the last fix: empty these cells"
-    evidence = {"most_m": most, "longest_s": longest, "at_s": at, "times": float(len(found))}
-    return [Finding(WARNING, "fix-stands", what, remedy, evidence)]
+        passed = step[k] / (length * typical)
+        gone = np.array([_went(t, fix, start, -1), _went(t, fix, int(k) + 1, 1)]) / typical
+        goes = (gone > _GOES).all() and (gone < _LEAPS).all()
+        if _PASSED[0] < passed < _PASSED[1] and goes:
+            found.append((start, int(k)))
+    return found
 
 
-def _stands_driven(recording: Recording, t: Array, fix: Array) -> list[Finding]:
-    """Return a finding where fixes stand still while velocity or commands say that the boat goes.
+def _stands_driven(recording: Recording, t: Array, fix: Array) -> list[Stand]:
+    """Return where fixes stand still while velocity or commands say that the boat goes.
 
     They need not catch up: the log may end before, or the boat has come back.
     """
@@ -201,28 +269,25 @@ def _stands_driven(recording: Recording, t: Array, fix: Array) -> list[Finding]:
     at, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
     ahead = thrust(recording)
     sources: dict[str, Array] = {}
+    by_velocity = "the speed over ground says that the boat goes"
     if len(at) >= ENOUGH:
-        sources["the speed over ground says that the boat goes"] = np.hypot(
-            *averaged(at, velocity, middle, width).T
-        )
+        sources[by_velocity] = np.hypot(*averaged(at, velocity, middle, width).T)
     if ahead is not None:
         drive = np.sqrt(np.abs(averaged(*ahead, middle, width)))
         late = [np.roll(drive, k) for k in range(_BEFORE + 1)]
         sources["the boat is driven as where it goes"] = np.minimum.reduce(late)
-    found = []
+    half = 0.5 * width
     for why, drive in sources.items():
-        for i, j in runs_of(_is_still(speed, drive)):
-            if (j - i) * width >= _STOPPED_FOR:
-                found.append(((j - i) * width, float(middle[i] - 0.5 * width), why))
-    if not found:
-        return []
-    longest, start, why = max(found)
-    names = recording.called("gps_x_m", "gps_y_m")
-    what = (
-        f"{names}: the fixes stand still for {longest:.0f} s (from t = {start:.1f} s), while {why}"
-    )
-    remedy = "the receiver held the last fix: empty these cells; or the boat was held or aground"
-    return [Finding(WARNING, "fix-stands", what, remedy, {"longest_s": longest, "at_s": start})]
+        found = [
+            Stand(
+                float(middle[i] - half), float(middle[j - 1] + half), 0.0, why, why == by_velocity
+            )
+            for i, j in runs_of(_is_still(speed, drive))
+            if (j - i) * width >= _STOPPED_FOR
+        ]
+        if found:
+            return found
+    return []
 
 
 def _is_still(speed: Array, drive: Array) -> npt.NDArray[np.bool_]:

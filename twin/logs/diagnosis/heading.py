@@ -26,8 +26,10 @@ from twin.logs.diagnosis.track import SURE, check_track, compass_on_track, thrus
 __all__ = [
     "DEGREE",
     "GyroFit",
+    "check_dead",
     "check_heading",
     "compass_in_degrees",
+    "dead_columns",
     "gyro_lag",
     "gyro_on_compass",
     "is_late",
@@ -307,14 +309,11 @@ def check_heading(recording: Recording, commands: int = 0) -> list[Finding]:
     at, values = recording.samples("compass_rad")
     compass = at, values[:, 0]
     t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
-    t_fix, fix = recording.samples("gps_x_m", "gps_y_m")
     t_gyro, rates = recording.samples("gyro_radps")
     gyro = t_gyro, rates[:, 0]
-    found = _dead(recording)
     if len(at) < ENOUGH:
-        return found
+        return []
     degrees = _beyond_a_turn(recording, compass, (t_fix, fix), gyro)
-    found += degrees
     if any(finding.severity == ERROR for finding in degrees):
         compass = at, DEGREE * compass[1]
     steps = _steps(recording, compass)
@@ -327,7 +326,7 @@ def check_heading(recording: Recording, commands: int = 0) -> list[Finding]:
     if against and (mirrored or (commands < 0 and not _is_plain(recording, compass))):
         # two against one: the compass is the one that is wrong
         by_gyro = [] if mirrored else [_compass_sign(recording, against[0])]
-    return found + steps + by_gyro + track
+    return degrees + steps + by_gyro + track
 
 
 def _is_plain(recording: Recording, compass: tuple[Array, Array]) -> bool:
@@ -348,21 +347,24 @@ def _compass_sign(recording: Recording, against: Finding) -> Finding:
     )
 
 
-def _dead(recording: Recording) -> list[Finding]:
-    """Return findings about columns in which all values are equal."""
+def dead_columns(recording: Recording) -> list[int]:
+    """Return the columns of ``MEASUREMENTS`` in which all values are equal."""
     found = []
-    for name, values in zip(MEASUREMENTS, recording.z.T, strict=True):
+    for j, values in enumerate(recording.z.T):
         seen = values[np.isfinite(values)]
         if len(seen) >= ENOUGH and (seen == seen[0]).all():
-            found.append(
-                Finding(
-                    ERROR,
-                    "sensor-dead",
-                    f"{recording.called(name)}: all {len(seen)} values are {seen[0]:.6g}",
-                    "a dead sensor: empty its cells or remove the column",
-                    {"value": float(seen[0])},
-                )
-            )
+            found.append(j)
+    return found
+
+
+def check_dead(recording: Recording) -> list[Finding]:
+    """Return findings about columns in which all values are equal."""
+    found = []
+    for j in dead_columns(recording):
+        values = recording.z[np.isfinite(recording.z[:, j]), j]
+        what = f"{recording.called(MEASUREMENTS[j])}: all {len(values)} values are {values[0]:.6g}"
+        remedy = "a dead sensor: empty its cells or remove the column"
+        found.append(Finding(ERROR, "sensor-dead", what, remedy, {"value": float(values[0])}))
     return found
 
 

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.logs.columns import Array
+from twin.logs.datum import Plane
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
-from twin.logs.diagnosis.fixes import check_fixes
+from twin.logs.diagnosis.fixes import (
+    MANY,
+    check_fixes,
+    find_stands,
+    rows_that_catch_up,
+    within,
+)
 from twin.logs.diagnosis.signals import (
     ENOUGH,
     averaged,
@@ -27,6 +35,7 @@ __all__ = [
     "VelocityFit",
     "agrees",
     "check_position",
+    "exchanged",
     "find_jumps",
     "fix_stamps",
     "in_degrees",
@@ -38,6 +47,9 @@ _JUMP, _FAST = 50.0, 30.0
 
 _FAR = 1e9
 """No boat goes farther than this between two fixes, m, whatever the unit."""
+
+_TOP_LATITUDE = 89.0
+"""Where longitudes are larger, degrees, they are no latitudes."""
 
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
@@ -67,6 +79,10 @@ _UNITS = {
 _UNIT_NEAR, _RATIO_NEAR = 0.06, 0.15
 """A ratio within this share of a unit's is that unit; within this share of 1 it is sound."""
 
+_STRAIGHT, _COHERENT, _EXCHANGED = math.radians(10.0), 0.9, 0.05
+"""A velocity points along the track of the fixes within this angle, with this coherence. If only
+fixes with latitude and longitude exchanged do so, as fast within this share, they are exchanged."""
+
 _AGREES_ANGLE, _AGREES_COHERENCE = math.radians(45.0), 0.7
 """Angle and coherence beyond which a velocity contradicts the track of the fixes."""
 
@@ -93,18 +109,28 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     ----------
     t, fix : ndarray, shape (N,) and (N, 2)
         Times, s, and positions, m; NaN in rows without a fix.
+
+    Notes
+    -----
+    A boat goes on while its fixes stand still. So where they catch up, the way counts from the
+    start of the stand.
     """
     rows = np.flatnonzero(np.isfinite(fix).all(axis=1))
     if len(rows) < 2:
         return None
     t, fix = t[rows], fix[rows]
+    length = np.hypot(*np.diff(fix, axis=0).T)
+    if not (length > _JUMP + _FAST * np.diff(t)).any():
+        return None
+    known = t.copy()
+    for start_of, last in rows_that_catch_up(t, fix):
+        known[last] = t[start_of]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
-        return np.asarray(way <= _JUMP + _FAST * (t[then] - t[first]), dtype=np.bool_)
+        return np.asarray(way <= _JUMP + _FAST * (t[then] - known[first]), dtype=np.bool_)
 
-    length = np.hypot(*np.diff(fix, axis=0).T)
-    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
+    broken = np.flatnonzero(length > _JUMP + _FAST * (t[1:] - known[:-1]))
     if not len(broken):
         return None
     # The longest chain of pieces, each of which can be reached from the one before.
@@ -300,7 +326,7 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
         lost = len(jumps.lost)
         found.append(
             Finding(
-                WARNING if lost < 0.1 * len(t) else ERROR,
+                WARNING if lost < MANY * len(t) else ERROR,
                 "fix-jumps",
                 f"{names}: {lost} of {len(t)} fixes cannot be reached from the others (a jump of "
                 f"{jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)",
@@ -323,9 +349,52 @@ def check_position(recording: Recording, gps_sd: float = 0.0) -> list[Finding]:
                 stamps._asdict(),
             )
         )
-    found += check_fixes(recording, t, fix)
-    fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
+    stands = find_stands(recording, t, fix)
+    found += check_fixes(recording, t, fix, stands)
+    going = ~within(t, stands)
+    fit = velocity_on_fixes((t[going], fix[going]), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
+
+
+def exchanged(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Return a recording, with latitude and longitude exchanged where the velocity says so.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without jumps.
+
+    Notes
+    -----
+    A degree of longitude is shorter than one of latitude. So exchanged ones also change the length
+    of the way, and a velocity over ground whose axes are exchanged does not fit them.
+    """
+    plane = recording.plane
+    if plane is None or abs(plane.longitude) > _TOP_LATITUDE:
+        return recording, []
+    velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    as_given = velocity_on_fixes(recording.samples("gps_x_m", "gps_y_m"), velocity)
+    if as_given is None or _points_along(as_given):
+        return recording, []
+    latitude, longitude = plane.degrees(*recording.z[:, :2].T)
+    z = recording.z.copy()
+    z[:, :2] = np.column_stack(Plane(plane.longitude, plane.latitude).metres(longitude, latitude))
+    mended = replace(recording, z=z)
+    fit = velocity_on_fixes(mended.samples("gps_x_m", "gps_y_m"), velocity)
+    if fit is None or not _points_along(fit) or abs(fit.ratio - 1.0) > _EXCHANGED:
+        return recording, []
+    what = (
+        f"{recording.called('gps_x_m', 'gps_y_m')}: latitude and longitude are exchanged; the "
+        "other way round, the fixes go as the speed over ground says"
+    )
+    remedy = "exchange the two in the mapping; the rest is checked as if they were"
+    evidence = {"ratio": as_given.ratio, "ratio_exchanged": fit.ratio}
+    return mended, [Finding(ERROR, "position-exchanged", what, remedy, evidence)]
+
+
+def _points_along(fit: VelocityFit) -> bool:
+    """Return whether a velocity points along the track of the fixes."""
+    return fit.coherence > _COHERENT and abs(fit.turned) < _STRAIGHT
 
 
 def _raised(scatter: float, gps_sd: float) -> str:

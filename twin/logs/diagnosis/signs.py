@@ -539,13 +539,11 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
                         {"gain": dead.gain, "other_gain": other.gain, "sd": dead.sd},
                     )
                 )
-    if doubtful or not any(effect.clear for effect in yaw.values()):
-        found.append(
-            Finding(
-                NOTE,
-                "sides-unknown",
-                "the commands steer too little to tell their sides and signs",
-                "record a zigzag by hand to have them checked",
-            )
-        )
+    if len(recording.samples("compass_rad")[0]) < ENOUGH:
+        what = "without a heading, sides and signs of the commands are not checked"
+        found.append(Finding(NOTE, "sides-unknown", what, ""))
+    elif doubtful or not any(effect.clear for effect in yaw.values()):
+        what = "the commands steer too little to tell their sides and signs"
+        remedy = "record a zigzag by hand to have them checked"
+        found.append(Finding(NOTE, "sides-unknown", what, remedy))
     return found

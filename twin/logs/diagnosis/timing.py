@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS
+from twin.logs.clock import SORT, set_back, stood_in_gap
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording, repeated
 from twin.logs.diagnosis.signals import ENOUGH, robust_sd, runs_of
@@ -116,7 +117,7 @@ def check_timing(recording: Recording) -> list[Finding]:
                 {"median_step_s": median},
             )
         )
-    found += _gaps(t, step, median) + _jitter(step, median)
+    found += _gaps(recording, step, median) + _jitter(step, median)
     found += _stale(recording)
     for sensor, names in SENSORS.items():
         found += _outages(recording, sensor, names)
@@ -144,21 +145,31 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
     step = np.diff(valid)
     back = step < 0.0
     if back.any():
-        row = int(np.argmin(step))
-        found.append(
-            Finding(
-                ERROR,
-                "time-back",
-                f"time goes back {back.sum()} time(s), at most by {-step[row]:.3g} s "
-                f"(at t = {valid[row]:.1f} s)",
-                "sort the rows by time, or cut the log where the clock was set",
-                {"times": float(back.sum()), "most_s": float(-step[row])},
-            )
-        )
+        found.append(_back(stamps, valid, step))
     equal = int((step == 0.0).sum())
     if equal:
         found.append(_equal(valid, equal, clashes))
     return found
+
+
+def _back(stamps: Array, valid: Array, step: Array) -> Finding:
+    """Return the finding about a clock that was set back, or rows out of order."""
+    row, times = int(np.argmin(step)), int((step < 0.0).sum())
+    evidence = {"times": float(times), "most_s": float(-step[row])}
+    steps = set_back(stamps)
+    if steps:
+        first, seconds = max(steps, key=lambda each: each[1])
+        before = stamps[:first][np.isfinite(stamps[:first])][-1]
+        what = f"the clock was set back by {seconds:.2f} s at t = {before:.1f} s"
+        what += f"; {times} times in all" if times > 1 else ""
+        remedy = f"add {seconds:.2f} s to all later stamps; the rest is checked as if they had it"
+        evidence["set_back_s"] = seconds
+        return Finding(ERROR, "time-back", what, remedy, evidence)
+    what = (
+        f"time goes back {times} time(s), at most by {-step[row]:.3g} s (at t = {valid[row]:.1f} s)"
+    )
+    remedy = f"{SORT}, or cut the log where it starts again"
+    return Finding(ERROR, "time-back", what, remedy, evidence)
 
 
 def _equal(valid: Array, equal: int, clashes: int) -> Finding:
@@ -175,19 +186,23 @@ def _equal(valid: Array, equal: int, clashes: int) -> Finding:
     return Finding(ERROR, "time-equal", what, remedy, evidence)
 
 
-def _gaps(t: Array, step: Array, median: float) -> list[Finding]:
+def _gaps(recording: Recording, step: Array, median: float) -> list[Finding]:
     """Return findings about gaps and skipped rows."""
-    found = []
+    found, t = [], recording.t
     gap = is_gap(t)
     if gap.any():
         row = int(np.argmax(step))
+        remedy = "the twin forecasts across them; check what stopped the logger"
+        fixes = recording.samples("gps_x_m", "gps_y_m")
+        if stood_in_gap(*fixes, float(t[row]), float(t[row + 1])):
+            remedy += ", or the clock was set forward: the boat did not move meanwhile"
         found.append(
             Finding(
                 WARNING,
                 "time-gaps",
                 f"{gap.sum()} gap(s) in time above {GAP_STEPS:.0f} x the median step, the longest "
                 f"{step[row]:.1f} s at t = {t[row]:.1f} s",
-                "the twin forecasts across them; check what stopped the logger",
+                remedy,
                 {
                     "gaps": float(gap.sum()),
                     "longest_s": float(step[row]),

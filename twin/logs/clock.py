@@ -1,0 +1,100 @@
+"""A logger's clock that was set while it ran: back, where time overlaps, or forward, as a gap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.logs.columns import Array
+from twin.logs.diagnosis.signals import ENOUGH, white_noise
+
+__all__ = ["SORT", "run_on", "set_back", "set_back_remedy", "stood_in_gap"]
+
+SORT = "sort the rows by time"
+"""The remedy for single rows out of order."""
+
+_SHORT = 0.5
+"""A clock is set back by less than this share of the rows' time before; by more, a log starts
+again, or its sensors stand one after the other."""
+
+_DENSE = 1.5
+"""Sorted rows around a step of the clock are so many times as dense as others: it is twice."""
+
+_SPEED_TIME = 3.0
+"""A boat's speed beside a gap is that over so many seconds."""
+
+_STOOD, _SEEN = 0.5, 6.0
+"""Across a gap, a boat went less than this share of the way at its speed, and the way is so many
+times the noise of a fix."""
+
+
+def set_back(stamps: Array) -> list[tuple[int, float]]:
+    """Return where a clock was set back, as rows and seconds; none where rows are out of order.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Time as the file has it, s; NaN where it is empty.
+    """
+    rows = np.flatnonzero(np.isfinite(stamps))
+    t = stamps[rows]
+    step = np.diff(t)
+    back = np.flatnonzero(step < 0.0)
+    if not len(back):
+        return []
+    edges = np.concatenate(([0], back + 1, [len(t)]))
+    if np.diff(edges).min() < ENOUGH:
+        return []
+    typical = float(np.median(step[step >= 0.0]))
+    found = []
+    for begin, k, end in zip(edges[:-2], back, edges[2:], strict=True):
+        overlap = float(t[k] - t[k + 1])
+        rows_in = np.sum(t[begin : k + 1] >= t[k + 1]) + np.sum(t[k + 1 : end] <= t[k])
+        again = overlap > _SHORT * (t[k] - t[begin])
+        # rows that are only shuffled stand as close there as anywhere
+        if again or rows_in < _DENSE * (overlap / typical + 1.0):
+            return []
+        found.append((int(rows[k + 1]), typical + overlap))
+    return found
+
+
+def run_on(stamps: Array) -> Array:
+    """Return stamps (N,), s, as of a clock that was not set back."""
+    mended = np.array(stamps, dtype=np.float64)
+    for row, seconds in set_back(stamps):
+        mended[row:] += seconds
+    return mended
+
+
+def set_back_remedy(stamps: Array) -> str:
+    """Return what to do about stamps (N,), s, that go back."""
+    steps = set_back(stamps)
+    if not steps:
+        return SORT
+    more = ", and so on at each such step" if len(steps) > 1 else ""
+    return f"the clock was set back: add {steps[0][1]:.3g} s to all stamps from there on{more}"
+
+
+def stood_in_gap(t: Array, fix: Array, start: float, end: float) -> bool:
+    """Return whether a boat that goes before and after a gap in time did not move in it.
+
+    Parameters
+    ----------
+    t, fix : ndarray, shape (N,) and (N, 2)
+        Times, s, and positions, m.
+    start, end : float
+        Of the gap, s.
+    """
+    before = np.flatnonzero((t <= start) & (t > start - _SPEED_TIME))
+    after = np.flatnonzero((t >= end) & (t < end + _SPEED_TIME))
+    if min(len(before), len(after)) < 2 or len(t) < ENOUGH:
+        return False
+    speeds = [
+        float(np.hypot(*(fix[rows[-1]] - fix[rows[0]]))) / float(t[rows[-1]] - t[rows[0]])
+        for rows in (before, after)
+    ]
+    way = min(speeds) * (end - start)
+    gone = float(np.hypot(*(fix[after[0]] - fix[before[-1]])))
+    noise = math.hypot(*(white_noise(t, column) for column in fix.T))
+    return way > _SEEN * noise and gone < _STOOD * way
