@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import (
-    RESTART_SD,
     is_learning_suspended,
     is_ready,
     lacks_gps,
@@ -61,7 +60,7 @@ from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.model_aid import aid_by_model
-from twin.predictors.without_gps import try_open_loop, widen_without_gps
+from twin.predictors.without_gps import restart_model, try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -267,18 +266,6 @@ def place_by_navigation(nav, state):
         x[i], P[i, i] = nav.n[i], spread
 
 
-@inlined
-def _restart_velocity(nav, settings, state):
-    """Let surge or sway begin again as those of the navigation do."""
-    for axis in range(2):
-        if nav.restarts[axis] > 0.0:
-            i = U + axis
-            for k in range(state.x.shape[0]):
-                state.P[i, k] = state.P[k, i] = 0.0
-            state.x[i] = nav.restarted[axis]
-            state.P[i, i] = RESTART_SD[axis] ** 2 * settings.velocity_var_0
-
-
 @kernel
 def tight_step(dt, z, cmd, memory, config, work):
     """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
@@ -290,7 +277,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     _accelerations(dt, z, nav, state, given, model, scratch)
     outage = nav.gps_age + dt
     settings = as_record(config.nav, NAVIGATION_SETTINGS)
-    _restart_velocity(nav, settings, state)
+    restart_model(nav, settings, state)
     navigate(nav, dt, z, scratch.accel, settings, nav_work)
     if nav.begun == 0.0:
         start_filter(cmd, nav, state, given)
