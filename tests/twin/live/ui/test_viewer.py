@@ -206,7 +206,7 @@ def test_the_deck_has_a_curve_with_its_fan_for_each_channel(browser, served, tmp
     for curve, name in zip(viewer.curves.deck, CHANNELS, strict=True):
         assert curve.title.startswith(name.split("_")[0]) or name == "deck_speed_mps"
         ahead, mean, low, high = curve.data
-        assert ahead[0] == 0.0 and ahead[-1] == 10.0
+        assert ahead[0] == 0.0 and ahead[-1] == pytest.approx(10.0)
         assert (low < mean).all() and (mean < high).all() and np.ptp(mean) > 0.0
         # the fan opens
         assert high[-1] - low[-1] > high[0] - low[0]
