@@ -24,6 +24,7 @@ __all__ = [
     "NAVIGATION_WORK",
     "N_NAV",
     "initial_navigation",
+    "largest_leap",
     "navigation_settings",
     "sample_limits",
 ]
@@ -173,7 +174,6 @@ def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Arr
     ndarray, shape (24,)
     """
     I, U, L = particulars.instruments, particulars.speed, particulars.length
-    accel = U * U / L
     turn = U / L
     tilt = GRAVITY * I.tilt_sd
     return np.array(
@@ -198,10 +198,16 @@ def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Arr
             I.tilt_time,
             *I.gps_arm[:2],
             *I.imu_arm[:2],
-            0.5 * accel + 8.0 * math.hypot(I.accel_sd, 0.5 * tilt),
+            largest_leap(particulars),
             knee,
         ]
     )
+
+
+def largest_leap(particulars: Particulars) -> float:
+    """Return the largest change of an acceleration from row to row that is no leap, m/s2."""
+    I, U, L = particulars.instruments, particulars.speed, particulars.length
+    return 0.5 * U * U / L + 8.0 * math.hypot(I.accel_sd, 0.5 * GRAVITY * I.tilt_sd)
 
 
 def sample_limits(particulars: Particulars) -> Array:

@@ -37,7 +37,7 @@ from twin.health.velocity import check_velocity
 from twin.health.wind import check_wind
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_sensors", "is_motion_doubted"]
+__all__ = ["check_sensors"]
 
 ROW_SHARE, ROWS_MISSING, GAP_LEAST = 0.05, 2.5, 0.5
 """Share of a new interval between rows in the typical one. A row after so many of these, and after
@@ -45,7 +45,7 @@ so long (s), follows a gap: rows are missing, or the clock stepped."""
 
 
 @inlined
-def is_motion_doubted(health):
+def _is_motion_doubted(health):
     """Return whether GPS or compass are left out, or the accelerometers while there is no GPS."""
     sensors = health.sensors
     unaided = sensors[GPS].status == ABSENT and sensors[ACCELEROMETERS].status == EXCLUDED
@@ -119,6 +119,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     note_absence(dt, ready, health)
     check_current(health, given)
+    health.motion_doubted = 1.0 if _is_motion_doubted(health) else 0.0
     leave_out(health, out)
     turn_to_now(dt, out, new_compass, health, given)
     check_wind(dt, out, state, usable, health, given)

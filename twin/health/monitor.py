@@ -12,11 +12,6 @@ from twin.channels import MEASUREMENTS
 from twin.checkpoint import COUNT, Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
-    ABSENT,
-    ACCELEROMETERS,
-    COMPASS_SENSOR,
-    EXCLUDED,
-    GPS,
     HEALTH,
     HEALTH_SETTINGS,
     HYPOTHESES,
@@ -65,6 +60,7 @@ _LATER = (
     "gap_way",
     "stand_",
     "since_leap",
+    "motion_doubted",
 )
 """Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
 missing, it gets its initial values."""
@@ -164,9 +160,7 @@ class SensorMonitor:
     @property
     def motion_doubted(self) -> bool:
         """True while GPS or compass are left out, or the accelerometers while there is no GPS."""
-        status = self.record["sensors"]["status"]
-        unaided = status[GPS] == ABSENT and status[ACCELEROMETERS] == EXCLUDED
-        return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED or unaided)
+        return bool(self.record["motion_doubted"] > 0.0)
 
     @property
     def restart(self) -> tuple[Array, Array] | None:

@@ -42,9 +42,9 @@ MOVING, STAND_GIVE_IN = 0.2, 180.0
 """A boat whose receiver measures this velocity, in nominal speeds, does move. Else fixes that stand
 for so long (s) are right: the boat may be moored, and thrust does not move it."""
 
-LEAP_SDS, HIT_TIME = 8.0, 16.0
-"""Standard deviations by which accelerations of two rows differ without a leap; and how long (s)
-after one the boat may have hit something, so that its fixes rightly stand."""
+HIT_TIME = 16.0
+"""So long (s) after the acceleration leapt the boat may have hit something, so that its fixes
+rightly stand."""
 
 THRUST_LEAST = 0.1
 """Thrust, in nominal ones, under which no free boat lies still for long."""
@@ -53,12 +53,9 @@ THRUST_LEAST = 0.1
 @inlined
 def note_leap(dt, z, health, given):
     """Note when the acceleration last leapt, as in an impact: the navigation does not follow it."""
-    largest = 0.5 * given.speed / given.time_scale + LEAP_SDS * math.hypot(
-        given.accel_sd, 0.5 * given.tilt
-    )
     health.since_leap += dt
     for k in (ACCEL_X, ACCEL_Y):
-        if abs(z[k] - health.last[k]) > largest:  # false for NaN
+        if abs(z[k] - health.last[k]) > given.leap:  # false for NaN
             health.since_leap = 0.0
 
 

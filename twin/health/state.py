@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, STATE
+from twin.filters.navigation_state import largest_leap
 from twin.particulars import GRAVITY, Particulars
 
 __all__ = [
@@ -280,6 +281,7 @@ HEALTH = np.dtype(
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
+        ("motion_doubted", "f8"),  # 1 while GPS, compass or accelerometers leave it in doubt
         ("at_odds_steps", "f8"),  # steps since the mismatch grew too large
         ("mismatch", "f8"),  # leaky mean of the squared innovations, in their variances
         ("likelihood", "f8", HYPOTHESES),  # logarithms, of the last step
@@ -315,6 +317,7 @@ HEALTH_SETTINGS = np.dtype(
         ("compass_latency", "f8"),  # declared age of a heading, s
         # change of the current within the looks remembered that is not plausible, m/s
         ("current_change", "f8"),
+        ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -359,6 +362,7 @@ def health_settings(particulars: Particulars) -> Array:
             (REFERENCE_HEIGHT / I.wind_height) ** PROFILE,
             I.compass_latency,
             CURRENT_CHANGE if particulars.design else CURRENT_CHANGE_ROUGH,
+            largest_leap(particulars),
         ]
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
 from twin.filters.navigation_state import NAVIGATION
-from twin.health.checks import check_sensors, is_motion_doubted
+from twin.health.checks import check_sensors
 from twin.health.state import HEALTH, HEALTH_SETTINGS, SENSORS
 from twin.identification.joint_ukf import (
     filter_config,
@@ -278,7 +278,7 @@ def _check_row(dt, boat, note, nav, filtered, model, given):
         write_current(filtered, model, health.current)
     check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
-    nav.motion_doubted = 1.0 if is_motion_doubted(health) else 0.0
+    nav.motion_doubted = health.motion_doubted
     for axis in range(2):
         if health.restarts[axis] > 0.0:
             nav.restarts[axis], nav.restarted[axis] = 1.0, health.restarted[axis]

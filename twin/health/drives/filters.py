@@ -150,12 +150,20 @@ def thrust_of(drive):
 
 
 @inlined
+def _surge_terms(u, v, r, thrust):
+    """Return what the parameters of surge multiply."""
+    return u, u * abs(u), thrust, r * r, v * r
+
+
+@inlined
 def surge_change(u, v, r, health):
     """Return by how much surge changes in a step, by the hypothesis in force; nominal units."""
     force = int(health.hypothesis)
-    x, thrust = health.filters[force].x[SURGE], _effect(0, force, health.drive)
-    drag = x[1] * u + x[2] * u * abs(u) + x[4] * r * r
-    return drag + x[THRUST] * thrust + x[5] * v * r
+    x, change = health.filters[force].x[SURGE], 0.0
+    terms = _surge_terms(u, v, r, _effect(0, force, health.drive))
+    for i in range(len(terms)):
+        change += x[1 + i] * terms[i]
+    return change
 
 
 @inlined
@@ -227,8 +235,8 @@ def _write_regressors(axis, k, r, u, v, health):
         f[0], f[1], f[2], f[3] = r, r * abs(r), effects[k, 1], effects[k, 2]
         f[4], f[5] = u * v, 1.0
     else:
-        f[0], f[1], f[2], f[3] = u, u * abs(u), effects[k, 0], r * r
-        f[4], f[5] = v * r, 0.0
+        f[0], f[1], f[2], f[3], f[4] = _surge_terms(u, v, r, effects[k, 0])
+        f[5] = 0.0
 
 
 @inlined
