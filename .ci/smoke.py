@@ -6,8 +6,10 @@ Run it outside the checkout, with the interpreter of a fresh environment:
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import gymnasium as gym
@@ -42,7 +44,10 @@ def main() -> None:
     boat.run(Log.read(path).slice(0.0, 60.0))
     print("in 10 s at", boat.predict("hold", horizon=10.0).mean[-1, :2].round(2))
 
-    command = Path(sys.executable).with_name("usv-twin")
+    # Windows has it as Scripts/usv-twin.exe
+    command = shutil.which("usv-twin", path=sysconfig.get_path("scripts"))
+    if command is None:
+        raise SystemExit(f"no usv-twin in {sysconfig.get_path('scripts')}")
     text = subprocess.run([command, "--help"], capture_output=True, text=True, check=True).stdout
     print(next(line.strip() for line in text.splitlines() if "benchmark" in line))
 
