@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
-from twin.health.history import HealthHistory
-from twin.health.monitor import SensorMonitor, SensorStatus
+from twin.integrity.history import HealthHistory
+from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
@@ -324,11 +324,10 @@ class Twin:
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
         z = self.motion.take(t, dt, z, predictor.navigation, predictor.ready)
-        current = predictor.current() if monitor.wants_current(dt) else None
-        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready, current)
+        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
         predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
         if (restart := monitor.restart) is not None:
-            predictor.restart_velocity(*restart)
+            predictor.begin_again(restart)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
         self.note_health()

@@ -19,7 +19,7 @@ from twin.benchmark.publish.sources import predictor_digest
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject, simulate_with
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
-from twin.health.state import SENSORS
+from twin.integrity.state import SENSORS
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState

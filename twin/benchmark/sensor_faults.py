@@ -66,7 +66,7 @@ class SensorFault:
     seconds : float
         How long it lasts.
     sensors : tuple of str
-        Names in ``twin.health.state.SENSORS`` of which one must be named; empty where no check of
+        Names in ``twin.integrity.state.SENSORS`` of which one must be named; empty where no check of
         the sensors can find it.
     change : callable
         Changes the rows that the twin gets.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.logs.diagnosis.diagnose import Diagnosis
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.log import Log

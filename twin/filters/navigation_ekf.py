@@ -74,6 +74,7 @@ from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combin
 
 __all__ = [
     "aid",
+    "ask_to_begin_again",
     "is_learning_suspended",
     "is_ready",
     "lacks_gps",
@@ -122,9 +123,8 @@ BIAS_SD, BIAS_TIME = 0.7, 3.0
 """Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
 it takes to find them."""
 
-RESTART_SD = 0.15, 0.2
-"""Standard deviations of a surge by the commands alone, and of a sway taken for zero, in nominal
-speeds."""
+CONTAMINATED = 5.0
+"""Standard deviations by which a state differs that a sensor at fault has led astray."""
 
 _AIDED = 1e4
 """A model shrinks no variance by more than this."""
@@ -232,30 +232,62 @@ def aid(nav, work, entry, value, variance):
 
 
 @inlined
-def _restart_velocity(nav, settings, work):
-    """Take back what accelerometers did that are found at fault now, without GPS.
+def _is_contaminated(nav, i):
+    """Return whether entry i of the state differs from where it may begin again."""
+    error = nav.restart_state[i] - nav.n[i]
+    if i == PSI:
+        error = wrap(error)
+    return error * error > CONTAMINATED**2 * (nav.restart_cov[i, i] + VARIANCE_MIN)
 
-    Surge or sway begin again. As a bias moves velocity and position together, this takes back the
-    way as well.
-    """
-    P, c, s = nav.P, math.cos(nav.n[PSI]), math.sin(nav.n[PSI])
-    faster, moved = BIAS_SD * BIAS_TIME, 0.5 * BIAS_SD * BIAS_TIME**2
-    for axis in range(2):
-        if nav.restarts[axis] == 0.0:
-            continue
-        nav.restarts[axis] = 0.0
-        i, north, east = U + axis, moved * c, moved * s
-        if axis == 1:
-            north, east = -east, north
-        P[X, X] += north * north
-        P[Y, Y] += east * east
-        P[X, Y] += north * east
-        P[Y, X] = P[X, Y]
-        P[X, i] += north * faster
-        P[Y, i] += east * faster
-        P[i, X], P[i, Y] = P[X, i], P[Y, i]
-        P[i, i] += faster * faster
-        aid(nav, work, i, nav.restarted[axis], RESTART_SD[axis] ** 2 * settings.velocity_var_0)
+
+@inlined
+def _begin_again(nav, settings):
+    """Begin again where a sensor that is left out now has led the state astray."""
+    n, P, state, cov = nav.n, nav.P, nav.restart_state, nav.restart_cov
+    whole, heading, surge = nav.restart[0] > 0.0, nav.restart[1] > 0.0, nav.restart[2] > 0.0
+    if not (whole or heading or surge):
+        return
+    first, last = 0, 6
+    if not (whole or surge):
+        first, last = PSI, PSI + 1
+    elif not whole:
+        first, last = U, V + 1
+    astray = False
+    for i in range(first, min(last, R)):  # the yaw rate follows the gyro at once
+        astray = astray or _is_contaminated(nav, i)
+    if astray:
+        _forget_biases(nav, settings)
+        for i in range(6):
+            if (first <= i < last) or (heading and i in (PSI, R)):
+                n[i] += wrap(state[i] - n[i]) if i == PSI else state[i] - n[i]
+                for k in range(N_NAV):
+                    P[i, k] = P[k, i] = 0.0
+        for i in range(first, last):
+            for k in range(first, last):
+                P[i, k] = cov[i, k]
+        if heading:
+            P[PSI, PSI], P[R, R] = cov[PSI, PSI], cov[R, R]
+        if surge and not whole:
+            # what made the velocity wrong has moved the boat as well
+            moved = (0.5 * BIAS_SD * BIAS_TIME**2) ** 2
+            P[X, X] += moved
+            P[Y, Y] += moved
+        for k in range(nav.refused.shape[0]):
+            nav.refused[k] = 0.0
+        nav.restarted = 1.0
+    for k in range(3):
+        nav.restart[k] = 0.0
+
+
+@inlined
+def ask_to_begin_again(restart, nav):
+    """Let a navigation begin again where a record ``RESTART`` says, after the next row."""
+    nav.restart[0], nav.restart[1] = restart.position, restart.heading
+    nav.restart[2] = restart.surge
+    for i in range(6):
+        nav.restart_state[i] = restart.state[i]
+        for k in range(6):
+            nav.restart_cov[i, k] = restart.cov[i, k]
 
 
 @inlined
@@ -471,8 +503,7 @@ def navigate(nav, dt, z, model, settings, work):
     settings, work : record
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
-    nav.lost = 0.0
-    _restart_velocity(nav, settings, work)
+    nav.lost = nav.restarted = 0.0
     n, P, H = nav.n, nav.P, work.H
     dt = min(max(dt, 0.0), GAP_MAX)
     nav.clock += dt
@@ -555,4 +586,5 @@ def navigate(nav, dt, z, model, settings, work):
             _forget_velocity(nav, settings)
             nav.unsettled = SETTLING
         nav.since_lost = 0.0
+    _begin_again(nav, settings)
     remember(nav, settings)

@@ -23,6 +23,7 @@ __all__ = [
     "NAVIGATION_SETTINGS",
     "NAVIGATION_WORK",
     "N_NAV",
+    "RESTART",
     "initial_navigation",
     "largest_leap",
     "navigation_settings",
@@ -64,6 +65,17 @@ AIDED, AIDED_TURN = 0.05, 0.05
 VARIANCE_MIN = 1e-12
 """Smallest variance; a smaller one is a rounding error."""
 
+RESTART = np.dtype(
+    [
+        ("position", "f8"),  # 1 where all of the state begins again, ...
+        ("heading", "f8"),  # ... heading and yaw rate do, ...
+        ("surge", "f8"),  # ... or surge and sway do
+        ("state", "f8", len(STATE)),  # with this ...
+        ("cov", "f8", (len(STATE), len(STATE))),  # ... and this covariance
+    ]
+)
+"""Where the navigation begins again, as a sensor that it used was at fault."""
+
 NAVIGATION = np.dtype(
     [
         ("n", "f8", N_NAV),  # state: m, rad, m/s, rad/s, m/s2
@@ -96,8 +108,10 @@ NAVIGATION = np.dtype(
         ("trial", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while sensors of the motion are at fault and left out
-        ("restarts", "f8", 2),  # 1 in a row in which surge or sway begin again ...
-        ("restarted", "f8", 2),  # ... with this, m/s
+        ("restart", "f8", 3),  # 1 where state, heading, or surge begin again after this row ...
+        ("restart_state", "f8", len(STATE)),  # ... with this ...
+        ("restart_cov", "f8", (len(STATE), len(STATE))),  # ... and this covariance
+        ("restarted", "f8"),  # 1 in the row in which it did
     ]
 )
 """What the filter of a boat remembers."""
@@ -105,7 +119,7 @@ NAVIGATION = np.dtype(
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
     **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
-    **dict.fromkeys(("commands_doubted", "motion_doubted", "restarts"), FLAG),
+    **dict.fromkeys(("commands_doubted", "motion_doubted", "restarted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
     **dict.fromkeys(("since_lost", "unsettled"), Field(low=0.0)),

@@ -40,6 +40,12 @@ def _take_row(nav, dt, z, model, settings, work):
     )
 
 
+def ask(nav: Any, restart: Any) -> None:
+    """Let a navigation begin again where a record ``RESTART`` says, after the next row."""
+    nav["restart"] = restart["position"], restart["heading"], restart["surge"]
+    nav["restart_state"], nav["restart_cov"] = restart["state"], restart["cov"]
+
+
 class Navigator:
     """The filter with its arrays, for predictors without a model.
 
@@ -91,10 +97,9 @@ class Navigator:
         check_fields(state, self._views(), NAVIGATION_FIELDS)
         fill(self._views(), state)
 
-    def restart_velocity(self, axes: Array, velocity: Array) -> None:
-        """Let surge or sway begin again; see ``twin.predictors.base.Predictor``."""
-        nav = self.memory.view(NAVIGATION)[0]
-        nav["restarts"], nav["restarted"] = axes, velocity
+    def begin_again(self, restart: Any) -> None:
+        """Begin again in the next row; see ``twin.predictors.base.Predictor``."""
+        ask(self.memory.view(NAVIGATION)[0], restart)
 
     @property
     def ready(self) -> bool:

@@ -327,15 +327,15 @@ class Predictor(ABC):
         """
         return
 
-    def restart_velocity(self, axes: Array, velocity: Array) -> None:
-        """Begin again with other velocities: without GPS, the accelerometers are found at fault.
+    def begin_again(self, restart: Any) -> None:
+        """Begin again elsewhere in the next row: a sensor that was used is found at fault.
 
         A predictor without a navigation of its own has nothing to do.
 
         Parameters
         ----------
-        axes, velocity : ndarray, shape (2,)
-            Whether surge and sway begin again (1 or 0), and with what, m/s.
+        restart : record
+            See ``twin.filters.navigation_state.RESTART``.
         """
         return
 

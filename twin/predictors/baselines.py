@@ -213,9 +213,9 @@ class HistoryPredictor(Predictor):
         """See :meth:`Predictor.suspend_learning`: rows are marked in the history."""
         self._suspended = commands or motion
 
-    def restart_velocity(self, axes: Array, velocity: Array) -> None:
-        """See :meth:`Predictor.restart_velocity`."""
-        self.navigator.restart_velocity(axes, velocity)
+    def begin_again(self, restart: Any) -> None:
+        """See :meth:`Predictor.begin_again`."""
+        self.navigator.begin_again(restart)
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""

@@ -36,6 +36,7 @@ from twin.filters.navigation_state import (
     initial_navigation,
     navigation_settings,
 )
+from twin.filters.navigator import ask
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, assess
@@ -60,7 +61,7 @@ from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.model_aid import aid_by_model
-from twin.predictors.without_gps import restart_model, try_open_loop, widen_without_gps
+from twin.predictors.without_gps import try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -178,7 +179,7 @@ def has_diverged(outage, nav, state, given):
     x, P, n, P_nav = state.x, state.P, nav.n, nav.P
     # so long a rollout is far from linear in the parameters, which its errors would corrupt
     diverged = outage > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
-    diverged = diverged or nav.commands_doubted > 0.0
+    diverged = diverged or nav.commands_doubted > 0.0 or nav.restarted > 0.0
     for i in range(N_STATES):
         error = n[i] - x[i]
         if i == PSI:
@@ -277,7 +278,6 @@ def tight_step(dt, z, cmd, memory, config, work):
     _accelerations(dt, z, nav, state, given, model, scratch)
     outage = nav.gps_age + dt
     settings = as_record(config.nav, NAVIGATION_SETTINGS)
-    restart_model(nav, settings, state)
     navigate(nav, dt, z, scratch.accel, settings, nav_work)
     if nav.begun == 0.0:
         start_filter(cmd, nav, state, given)
@@ -580,9 +580,9 @@ class UKFPredictor(ModelPredictor):
         self._nav["commands_doubted"] = 1.0 if commands else 0.0
         self._nav["motion_doubted"] = 1.0 if motion else 0.0
 
-    def restart_velocity(self, axes: Array, velocity: Array) -> None:
-        """See :meth:`twin.predictors.base.Predictor.restart_velocity`."""
-        self._nav["restarts"], self._nav["restarted"] = axes, velocity
+    def begin_again(self, restart: Any) -> None:
+        """See :meth:`twin.predictors.base.Predictor.begin_again`."""
+        ask(self._nav, restart)
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

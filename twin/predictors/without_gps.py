@@ -7,7 +7,6 @@ import math
 from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.navigation_ekf import (
     GAP_MAX,
-    RESTART_SD,
     is_learning_suspended,
     lacks_gps,
 )
@@ -17,7 +16,7 @@ from twin.model.structure import CURRENT, N_STATES, current_of
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
-__all__ = ["restart_model", "try_open_loop", "widen_without_gps"]
+__all__ = ["try_open_loop", "widen_without_gps"]
 
 FROUDE_MOST = 0.2
 """Froude number of the nominal speed above which a rough model is taken to err no more. The noises
@@ -86,18 +85,6 @@ def try_open_loop(dt, nav, state, given, model, terms):
     square = math.log(min(max(square, TINY), given.envelope[0] ** 2))
     before = math.log(max(nav.drift_var, TINY))
     nav.drift_var = math.exp((count * before + square) / (count + 1.0))
-
-
-@inlined
-def restart_model(nav, settings, state):
-    """Let surge or sway begin again as those of the navigation do."""
-    for axis in range(2):
-        if nav.restarts[axis] > 0.0:
-            i = U + axis
-            for k in range(state.x.shape[0]):
-                state.P[i, k] = state.P[k, i] = 0.0
-            state.x[i] = nav.restarted[axis]
-            state.P[i, i] = RESTART_SD[axis] ** 2 * settings.velocity_var_0
 
 
 @inlined

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.health.state import HEALTH, SENSORS, health_settings
 from twin.identification.joint_ukf import (
     JointUKF,
     forecast_buffers,
 )
+from twin.integrity.state import INTEGRITY, SENSORS, integrity_settings
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
@@ -98,7 +98,7 @@ _ALL = slice(None)
 TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 """Names of the observation sets with a twin."""
 
-_HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(HEALTH))
+_HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(INTEGRITY))
 _LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
 
 
@@ -400,7 +400,7 @@ class CompiledTwins(TwinObserver):
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
         shown = float(observation == "twin_attitude")
         given = band_period, gps_var, 1.0, shown, float(self._grading), 1.0
-        self._settings = np.concatenate([given, health_settings(twin.particulars)])
+        self._settings = np.concatenate([given, integrity_settings(twin.particulars)])
         self._given = plain(predictor.config)
         self._scratch = plain((predictor.work, self._buffers()))
         self._motion_work = twin.motion.scratch if self.motions.shape[1] > 0 else np.zeros(0)

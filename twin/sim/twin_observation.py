@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
+from twin.filters.navigation_ekf import ask_to_begin_again
 from twin.filters.navigation_state import NAVIGATION
-from twin.health.checks import check_sensors
-from twin.health.state import HEALTH, HEALTH_SETTINGS, SENSORS
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -19,8 +18,9 @@ from twin.identification.joint_ukf import (
     forecast_covariance,
     forecast_mean,
     limit_covariances,
-    write_current,
 )
+from twin.integrity.checks import check_sensors
+from twin.integrity.state import INTEGRITY, INTEGRITY_SETTINGS, SENSORS
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES, ModelTerms
@@ -125,7 +125,7 @@ MOTION_ROWS = tuple(1 + int(np.searchsorted(HORIZONS_OF_MOTION, h)) for h in (0.
 """Rows of a forecast of roll, pitch and heave that are shown."""
 
 TRUST = np.array([0.0, 1.0, 0.5, 0.0])
-"""Their values for each of ``twin.health.state.STATUSES``."""
+"""Their values for each of ``twin.integrity.state.STATUSES``."""
 
 ROWS = int(HORIZON_ROWS[-1]) + 1
 """Rows of the plan of a forecast."""
@@ -152,7 +152,7 @@ NOTE = np.dtype(
         ("roll", "f8", 4),  # roll, pitch by the twin, and by the truth, rad
         ("quiet", "f8", len(QUIET_SPANS)),  # probabilities of a quiet deck
         ("hs", "f8"),  # significant height of the waves by the twin, m
-        ("health", HEALTH),  # what the sensor checks remember
+        ("health", INTEGRITY),  # what the sensor checks remember
     ]
 )
 """What is noted of each boat between observations ..."""
@@ -168,7 +168,7 @@ SETTINGS = np.dtype(
         ("show_motion", "f8"),  # 1 where they hold roll, pitch and heave
         ("grading", "f8"),  # 1 where forecasts are graded
         ("forecasting", "f8"),  # 1 where forecasts are made: they are shown, graded or drawn
-        ("health", HEALTH_SETTINGS),  # what the sensor checks are given
+        ("health", INTEGRITY_SETTINGS),  # what the sensor checks are given
     ]
 )
 """What all boats of a batch have in common."""
@@ -270,20 +270,19 @@ def take_row(boat, note):
 
 
 @inlined
-def _check_row(dt, boat, note, nav, filtered, model, given):
+def _check_row(dt, boat, note, nav, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
     state = nav.n[:N_STATES]
-    if ready and health.clock + dt >= health.current_due:
-        write_current(filtered, model, health.current)
     check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = health.motion_doubted
-    for axis in range(2):
-        if health.restarts[axis] > 0.0:
-            nav.restarts[axis], nav.restarted[axis] = 1.0, health.restarted[axis]
+    if health.switched > 0.0:
+        ask_to_begin_again(health.restart, nav)
     for k in range(N_ACT):
-        note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
+        note.trusted[k] = (
+            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
+        )
 
 
 @inlined
@@ -497,7 +496,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         dt = _next_row(boat, note)
         if dt >= 0.0:
             _take_motion(dt, i, boat, note, nav, boats)
-            _check_row(dt, boat, note, nav, state, model, settings.health)
+            _check_row(dt, boat, note, nav, settings.health)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
                 grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, (0, 0.0), again)
@@ -565,7 +564,7 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         dt = _next_row(boat, note)
         if dt >= 0.0:
             _take_motion(dt, i, boat, note, nav, boats)
-            _check_row(dt, boat, note, nav, state, model, settings.health)
+            _check_row(dt, boat, note, nav, settings.health)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
                 grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, waves, again)

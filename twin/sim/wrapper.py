@@ -93,7 +93,7 @@ class TwinObservation(
     Validity and age of each signal stand in the environment's own part. ``info`` gains
     ``twin_position_error_m``, the distance of the twin's from the true position: for
     grading, never for an agent. For each sensor it gains ``twin_health_gps`` and so on, the
-    place of its status in ``twin.health.state.STATUSES``; ``twin.health`` says it in words.
+    place of its status in ``twin.integrity.state.STATUSES``; ``twin.health`` says it in words.
     ``twin_forecast`` grades the twin's forecasts on the episode so far, that of the last step on
     all of it: a mapping of names to floats, see :class:`twin.sim.forecast_scores.ForecastScores`.
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, R
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.live.protocols.sockets import Address, FeedError, open_socket
 from twin.logs.datum import Plane
 from twin.particulars import Particulars

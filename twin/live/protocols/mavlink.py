@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS, PSI, R, U, V
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS

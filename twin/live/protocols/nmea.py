@@ -59,7 +59,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, R
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea_writer import DAY, KNOT, NmeaWriter
 from twin.live.protocols.sockets import FeedError, needed

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import TRUTH
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.live.sessions.recorder import Recorder
 from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
 from twin.logs.datum import Datum

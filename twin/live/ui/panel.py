@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import PLANS
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 from twin.live.external.view import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession

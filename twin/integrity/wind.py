@@ -6,7 +6,7 @@ import math
 
 from twin.channels import APPARENT_FROM, APPARENT_SPEED, PSI, WIND_FROM, WIND_SPEED, U, V
 from twin.filters.navigation_state import WIND_LIMIT
-from twin.health.state import ABSENT, EXCLUDED, FROZEN, NO_REASON, OK
+from twin.integrity.state import ABSENT, EXCLUDED, FROZEN, NO_REASON, OK
 from usv_kernel.jit import inlined
 
 __all__ = ["check_wind"]
@@ -32,20 +32,20 @@ TURNS = 1e3
 
 
 @inlined
-def _set(health, status, reason):
-    wind = health.wind
+def _set(memory, status, reason):
+    wind = memory.wind
     if wind.status != status:
-        wind.status, wind.reason, wind.since = status, reason, health.clock
+        wind.status, wind.reason, wind.since = status, reason, memory.clock
 
 
 @inlined
-def _is_usable(dt, speed, angle, health):
+def _is_usable(dt, speed, angle, memory):
     """Take a sample of the apparent wind as it is; return whether it says something new."""
-    wind = health.wind
+    wind = memory.wind
     wind.silent += dt
     if not (0.0 <= speed < WIND_LIMIT and abs(angle) < TURNS):  # NaN: none
         if wind.silent > SILENT_TIME:
-            _set(health, ABSENT, NO_REASON)
+            _set(memory, ABSENT, NO_REASON)
         return False
     since, wind.silent = wind.silent, 0.0
     same_speed, same_angle = speed == wind.last[0], angle == wind.last[1]
@@ -54,19 +54,19 @@ def _is_usable(dt, speed, angle, health):
     wind.last[0], wind.last[1] = speed, angle
     stuck = max(wind.repeated[0], wind.repeated[1]) > STUCK_TIME
     if stuck:
-        _set(health, EXCLUDED, FROZEN)
+        _set(memory, EXCLUDED, FROZEN)
         wind.changing = 0.0
     elif wind.status == EXCLUDED:
         wind.changing = 0.0 if same_speed or same_angle else wind.changing + since
         if wind.changing > RETURN_TIME:
-            _set(health, OK, NO_REASON)
+            _set(memory, OK, NO_REASON)
     elif wind.status == ABSENT:
-        _set(health, OK, NO_REASON)
+        _set(memory, OK, NO_REASON)
     return wind.status == OK and not (same_speed and same_angle)
 
 
 @inlined
-def check_wind(dt, out, state, usable, health, given):
+def check_wind(dt, out, state, usable, memory, given):
     """Write the true wind to a row that has the apparent wind, or had it before.
 
     Parameters
@@ -80,13 +80,13 @@ def check_wind(dt, out, state, usable, health, given):
         State of the boat, whose velocity and heading the apparent wind holds.
     usable : bool
         Whether that means anything.
-    health, given : record
-        ``HEALTH``, whose part ``wind`` is advanced; ``HEALTH_SETTINGS``.
+    memory, given : record
+        ``INTEGRITY``, whose part ``wind`` is advanced; ``INTEGRITY_SETTINGS``.
     """
-    wind = health.wind
+    wind = memory.wind
     wind.age += dt
     speed, angle = out[APPARENT_SPEED], out[APPARENT_FROM]
-    if _is_usable(dt, speed, angle, health) and usable:
+    if _is_usable(dt, speed, angle, memory) and usable:
         c, s = math.cos(state[PSI]), math.sin(state[PSI])
         ahead, aside = state[U] - speed * math.cos(angle), state[V] - speed * math.sin(angle)
         north = given.wind_gain * (ahead * c - aside * s)

@@ -6,8 +6,8 @@ import bisect
 from collections.abc import Callable
 from typing import NamedTuple
 
-from twin.health.monitor import SensorMonitor, SensorStatus
-from twin.health.state import CHECK, HEALTH, SENSORS
+from twin.integrity.monitor import SensorMonitor, SensorStatus
+from twin.integrity.state import INTEGRITY, SENSORS, STATUS
 from usv_kernel.records import field_at, record_size
 
 __all__ = ["HealthHistory"]
@@ -15,8 +15,8 @@ __all__ = ["HealthHistory"]
 KEPT = 1000
 """So many changes are kept, the last ones."""
 
-_FIRST = field_at(HEALTH, "sensors") + field_at(CHECK, "status")
-_STATUS = slice(_FIRST, _FIRST + len(SENSORS) * record_size(CHECK), record_size(CHECK))
+_FIRST = field_at(INTEGRITY, "sensors") + field_at(STATUS, "status")
+_STATUS = slice(_FIRST, _FIRST + len(SENSORS) * record_size(STATUS), record_size(STATUS))
 
 
 class _Change(NamedTuple):

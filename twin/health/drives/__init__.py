@@ -1,1 +1,0 @@
-"""Checks that hold the commands against the motion, and the motion against the commands."""

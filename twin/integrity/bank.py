@@ -1,0 +1,603 @@
+"""A bank of small navigation filters, each leaving one sensor out, and the test of their innovations.
+
+Each filter is an extended Kalman filter of eight states
+
+    x = (p_n, p_e, v_n, v_e, psi, g, a_1, a_2)
+
+position and velocity over the ground of the IMU, m and m/s north and east, and heading, rad. Where
+a filter uses the gyro, g is its bias, rad/s, else the yaw rate. Where it uses the accelerometers,
+a_1, a_2 are their biases forward and to starboard, m/s2, else the acceleration itself, a first-order
+Gauss-Markov process (Singer 1970).
+
+Noise comes from the data sheets alone. What drifts in a GPS or a compass is process noise of
+position and heading: 2 sd^2 / T of a first-order Gauss-Markov process of the time T.
+
+Samples are taken in epochs of :data:`EPOCH_S`: the mean of the samples of a sensor stands for them,
+at their mean age. The innovations of an epoch, divided by their standard deviations, are white with
+variance 1 if all sensors that the filter uses are sound. So their exponentially weighted mean m
+over a window gives a chi-square, |m|^2 / V, with V the sum of the squared weights. A filter passes
+as long as no window of no sensor exceeds the chi-square that a sound one exceeds once in
+1 / :data:`FALSE_ALARM`.
+
+Sources: Särkkä 2013, Bayesian Filtering and Smoothing, 5.2 (filter); Bar-Shalom, Li and Kirubarajan
+2001, Estimation with Applications to Tracking and Navigation, 5.4 (tests of innovations); Singer
+1970, IEEE Trans. Aerospace and Electronic Systems 6(4); Huber 1964 (clipped innovations); Blanch et
+al. 2012, ION GNSS, and Brown and McBurney 1988 (a bank that leaves sensors out: solution
+separation).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import GRAVITY, Particulars
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import wrap
+
+__all__ = [
+    "BANK",
+    "BANK_SETTINGS",
+    "FILTERS",
+    "FRESH",
+    "LEFT_OUT",
+    "bank_settings",
+]
+
+Array = NDArray[np.float64]
+
+FIXES, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
+"""What a filter may leave out."""
+
+AIDS = 3
+"""The first three of these correct a filter; the others drive it."""
+
+LEFT_OUT = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0],
+        [1.0, 1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0],
+        [0.0, 0.0, 0.0, 1.0, 1.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
+"""What each filter leaves out: nothing, one sensor, or one device. The last begins afresh."""
+
+FILTERS, FRESH = len(LEFT_OUT), len(LEFT_OUT) - 1
+
+STATES = 8
+PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
+
+EPOCH_S = 0.2
+"""Samples within this time are taken together."""
+
+WINDOWS_S = np.array([0.6, 4.0, 20.0])
+"""Windows of the test."""
+
+WINDOWS = len(WINDOWS_S)
+
+FALSE_ALARM = 1e-7
+"""Probability that a sound filter fails a test."""
+
+THRESHOLD = -2.0 * math.log(FALSE_ALARM)
+"""Chi-square of two degrees of freedom that is exceeded with this probability."""
+
+INNOVATION_MAX = 6.0
+"""An innovation counts up to so many standard deviations (Huber), and is not used beyond."""
+
+SILENT_S = 3.0
+"""A sensor without samples for so long is absent."""
+
+MISFIT_S = 6.0
+
+IMU_SILENT_S = 1.0
+"""Gyro or accelerometers without samples for so long drive no filter."""
+
+MOTION_TIME_S = 60.0
+
+STEP_MAX_S, STEPS_MAX = 1.0, 30
+LEVEL_MAX, LEVEL_TIME_S = 6.0, 120.0
+
+FILTER = np.dtype(
+    [
+        ("x", "f8", STATES),
+        ("P", "f8", (STATES, STATES)),
+        ("uses_gyro", "f8"),
+        ("uses_accelerometers", "f8"),
+        ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
+        ("weight", "f8", (AIDS, WINDOWS)),  # sums of the squared weights
+        ("seen", "f8", AIDS),  # time that the windows have seen, s
+        # variance of these means over that of white innovations, learned while all is sound
+        ("level", "f8", (AIDS, WINDOWS)),
+        ("square", "f8", AIDS),  # mean of their squares over the shortest window
+        ("misfit", "f8", AIDS),  # leaky sums of -2 log-likelihood of the samples, with MISFIT_S
+        ("ratio", "f8"),  # largest statistic over its threshold; below 1 the filter passes
+        ("since", "f8"),  # clock at which it began from another filter, s
+    ]
+)
+"""A filter and its test."""
+
+BANK = np.dtype(
+    [
+        ("filters", FILTER, FILTERS),
+        ("begun", "f8"),
+        ("clock", "f8"),  # s since the start
+        # sums of the epoch
+        ("span", "f8"),  # its length so far, s
+        ("gyro", "f8", 2),  # integral of the yaw rate (rad), and its time (s)
+        ("force", "f8", 3),  # integrals of the specific forces (m/s), and their time (s)
+        ("samples", "f8", AIDS),  # number of samples
+        ("sum", "f8", 5),  # of x, y, v_x, v_y, heading
+        ("age_sum", "f8", AIDS),  # of the ages at the end of the epoch, s
+        ("age", "f8", AIDS),  # time since the last sample, s
+        ("interval", "f8", AIDS),  # typical time between samples, s
+        ("imu_age", "f8", 2),  # of gyro, accelerometers, s
+        ("row", "f8"),  # typical time between rows, s
+        ("rate", "f8"),  # last yaw rate of the gyro, rad/s
+        ("heading", "f8"),  # first heading of the epoch, rad
+        ("start", "f8", 5),  # first fix, velocity and heading
+        ("force_filter", "f8"),  # the filter in force
+        ("acceleration", "f8"),  # mean square of a specific force, (m/s2)2
+        ("acceleration_walk", "f8"),  # mean square change of it in a second, (m/s2)2/s
+        ("epoch_force", "f8", 2),  # mean specific forces of the last epoch, m/s2
+        ("rate_walk", "f8"),  # mean square change of the yaw rate in a second, (rad/s)2/s
+        ("epoch_rate", "f8"),  # mean yaw rate of the last epoch, rad/s
+    ]
+)
+
+BANK_SETTINGS = np.dtype(
+    [
+        ("fix_var", "f8"),  # m2
+        ("velocity_var", "f8"),  # (m/s)2
+        ("compass_var", "f8"),  # rad2
+        ("gyro_var", "f8"),  # (rad/s)2
+        ("accel_var", "f8"),  # (m/s2)2
+        ("gyro_bias_var", "f8"),
+        ("accel_bias_var", "f8"),
+        ("bias_time", "f8"),  # s
+        ("fix_drift", "f8"),  # m2/s
+        ("compass_drift", "f8"),  # rad2/s
+        ("tilt_drift", "f8"),  # of the velocity, (m/s)2/s
+        ("rate_drift", "f8"),  # of a yaw rate without gyro, (rad/s)2/s
+        ("rate_var", "f8"),
+        ("thrust_var", "f8"),  # of an acceleration without accelerometers, (m/s2)2
+        ("thrust_time", "f8"),  # s
+        ("speed_var", "f8"),  # of a velocity at the start, (m/s)2
+        ("gps_latency", "f8"),  # s
+        ("compass_latency", "f8"),  # s
+        ("gps_arm", "f8", 2),  # from IMU to antenna, m forward and to starboard
+        ("origin_arm", "f8", 2),  # from IMU to origin, m
+        ("fix_bias_var", "f8"),  # m2
+        ("compass_bias_var", "f8"),  # rad2
+    ]
+)
+
+GPS_DRIFT_S, COMPASS_DRIFT_S, BIAS_TIME_S = 400.0, 200.0, 100.0
+
+
+def bank_settings(particulars: Particulars) -> Array:
+    """Return the settings of a bank for a boat, in the order of :data:`BANK_SETTINGS`.
+
+    What no data sheet states scales with speed and length (Froude).
+    """
+    I, U, L = particulars.instruments, particulars.speed, particulars.length
+    turn = U / L
+    gps = [a - b for a, b in zip(I.gps_arm[:2], I.imu_arm[:2], strict=True)]
+    return np.array(
+        [
+            I.gps_sd**2,
+            I.doppler_sd**2,
+            I.compass_sd**2,
+            I.gyro_sd**2,
+            I.accel_sd**2,
+            I.gyro_bias_sd**2 + 1e-8,
+            I.accel_bias_sd**2 + 1e-6,
+            BIAS_TIME_S,
+            2.0 * I.gps_bias_sd**2 / GPS_DRIFT_S,
+            2.0 * I.compass_bias_sd**2 / COMPASS_DRIFT_S,
+            2.0 * (GRAVITY * I.tilt_sd) ** 2 * I.tilt_time,
+            (0.5 * turn) ** 2 * turn,
+            turn**2,
+            (0.25 * U * turn) ** 2,
+            L / U,
+            U**2,
+            I.gps_latency,
+            I.compass_latency,
+            *gps,
+            -I.imu_arm[0],
+            -I.imu_arm[1],
+            I.gps_bias_sd**2,
+            I.compass_bias_sd**2,
+        ]
+    )
+
+
+@inlined
+def _convert(one, gyro, accelerometers, given):
+    """Give the states of gyro and accelerometers the meaning that they have from now on."""
+    if one.uses_gyro != gyro:
+        one.uses_gyro = gyro
+        for j in range(STATES):
+            one.P[G, j] = one.P[j, G] = 0.0
+        one.x[G] = 0.0
+        one.P[G, G] = given.gyro_bias_var if gyro > 0.0 else given.rate_var
+    if one.uses_accelerometers != accelerometers:
+        one.uses_accelerometers = accelerometers
+        for i in range(A1, A2 + 1):
+            for j in range(STATES):
+                one.P[i, j] = one.P[j, i] = 0.0
+            one.x[i] = 0.0
+            one.P[i, i] = given.accel_bias_var if accelerometers > 0.0 else given.thrust_var
+
+
+@kernel
+def predict(one, T, turn, forward, side, bank, given):
+    """Predict a filter over an epoch of T s; return its acceleration north and east, m/s2.
+
+    ``turn`` is what the gyro turned (rad); ``forward`` and ``side`` are mean specific forces
+    (m/s2).
+    """
+    x, P = one.x, one.P
+    gyro, driven = one.uses_gyro > 0.0, one.uses_accelerometers > 0.0
+    dpsi = turn - T * x[G] if gyro else T * x[G]
+    c, s = math.cos(x[PSI] + 0.5 * dpsi), math.sin(x[PSI] + 0.5 * dpsi)
+    # body accelerations: measured less bias, or the state itself
+    a = forward - x[A1] if driven else x[A1]
+    b = side - x[A2] if driven else x[A2]
+    north, east = c * a - s * b, s * a + c * b
+    sign = -1.0 if driven else 1.0
+    half = 0.5 * T * T
+    x[PN] += T * x[VN] + half * north
+    x[PE] += T * x[VE] + half * east
+    x[VN] += T * north
+    x[VE] += T * east
+    x[PSI] += dpsi
+    # P = F P F', row operations and then the same on the columns
+    g = -T if gyro else T
+    for k in range(2):
+        for j in range(STATES):
+            if k == 0:
+                psi, a1, a2 = P[PSI, j], P[A1, j], P[A2, j]
+                dn = -east * psi + sign * (c * a1 - s * a2)
+                de = north * psi + sign * (s * a1 + c * a2)
+                P[PN, j] += T * P[VN, j] + half * dn
+                P[PE, j] += T * P[VE, j] + half * de
+                P[VN, j] += T * dn
+                P[VE, j] += T * de
+                P[PSI, j] += g * P[G, j]
+            else:
+                psi, a1, a2 = P[j, PSI], P[j, A1], P[j, A2]
+                dn = -east * psi + sign * (c * a1 - s * a2)
+                de = north * psi + sign * (s * a1 + c * a2)
+                P[j, PN] += T * P[j, VN] + half * dn
+                P[j, PE] += T * P[j, VE] + half * de
+                P[j, VN] += T * dn
+                P[j, VE] += T * de
+                P[j, PSI] += g * P[j, G]
+    row = bank.row
+    noise = T * (given.accel_var * row + given.tilt_drift) if driven else 0.0
+    P[VN, VN] += noise
+    P[VE, VE] += noise
+    P[PN, PN] += T * given.fix_drift
+    P[PE, PE] += T * given.fix_drift
+    P[PSI, PSI] += T * given.compass_drift
+    if gyro:
+        P[PSI, PSI] += T * row * given.gyro_var
+        P[G, G] += 2.0 * T / given.bias_time * max(given.gyro_bias_var - P[G, G], 0.0)
+    else:
+        walk = max(given.rate_drift, bank.rate_walk)
+        P[G, G] += T * walk
+        P[PSI, PSI] += T * T * T / 3.0 * walk
+    # as much, and as fast, as the accelerometers measured while they were sound
+    acceleration = max(given.thrust_var, bank.acceleration)
+    walk = max(2.0 * given.thrust_var / given.thrust_time, bank.acceleration_walk)
+    for i in range(A1, A2 + 1):
+        if driven:
+            P[i, i] += 2.0 * T / given.bias_time * max(given.accel_bias_var - P[i, i], 0.0)
+        else:
+            keep = math.exp(-0.5 * T * walk / acceleration)
+            x[i] *= keep
+            for j in range(STATES):
+                P[i, j] *= keep
+                P[j, i] *= keep
+            P[i, i] += (1.0 - keep * keep) * acceleration
+    return north, east
+
+
+@inlined
+def _innovation(one, aid, k, z, age, rate, acceleration, given, gain):
+    """Return number k of an aid less what a filter expects ``age`` s ago, and h P h'.
+
+    P h' is written to ``gain`` (8,). The row h has a position, a velocity, the heading and the rate.
+    """
+    x, P = one.x, one.P
+    if aid == COMPASS:
+        on_rate = 0.0 if one.uses_gyro > 0.0 else -age
+        nu = wrap(z[4] - (x[PSI] - age * rate))
+        for i in range(STATES):
+            gain[i] = P[i, PSI] + on_rate * P[i, G]
+        return nu, gain[PSI] + on_rate * gain[G]
+    c, s = math.cos(x[PSI]), math.sin(x[PSI])
+    ahead, side = given.gps_arm[0], given.gps_arm[1]
+    if k == 0:
+        arm, turned = c * ahead - s * side, -s * ahead - c * side
+    else:
+        arm, turned = s * ahead + c * side, c * ahead - s * side
+    v = VN + k
+    if aid == FIXES:
+        p = PN + k
+        nu = z[k] - (x[p] - age * x[v] + 0.5 * age * age * acceleration + arm)
+        for i in range(STATES):
+            gain[i] = P[i, p] - age * P[i, v] + turned * P[i, PSI]
+        return nu, gain[p] - age * gain[v] + turned * gain[PSI]
+    at = 0.0 if one.uses_gyro > 0.0 else turned
+    nu = z[2 + k] - (x[v] - age * acceleration + rate * turned)
+    for i in range(STATES):
+        gain[i] = P[i, v] + at * P[i, G]
+    return nu, gain[v] + at * gain[G]
+
+
+@kernel
+def _correct(one, gain, innovation, S):
+    """Correct a filter by one number, with P h' in ``gain`` and the innovation variance S."""
+    x, P, step = one.x, one.P, innovation / S
+    for i in range(STATES):
+        x[i] += gain[i] * step
+        share = gain[i] / S
+        for j in range(STATES):
+            P[i, j] -= share * gain[j]
+
+
+@kernel
+def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
+    """Test and correct a filter by the samples of an aid that it uses."""
+    numbers = 1 if aid == COMPASS else 2
+    w0 = w1 = logarithm = 0.0
+    for k in range(numbers):
+        acceleration = north if k == 0 else east
+        nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
+        S = (spread + variance) * one.level[aid, 0]
+        logarithm += math.log(S / variance)
+        if k == 0:
+            w0 = nu / math.sqrt(S)
+        else:
+            w1 = nu / math.sqrt(S)
+    total = w0 * w0 + w1 * w1
+    size = math.sqrt(total)
+    share = min(1.0, INNOVATION_MAX / max(size, 1e-12))
+    one.seen[aid] += span
+    for i in range(WINDOWS):
+        alpha = min(max(span / WINDOWS_S[i], span / one.seen[aid]), 1.0)
+        one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
+        one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
+        one.weight[aid, i] += alpha * (alpha - (2.0 - alpha) * one.weight[aid, i])
+    clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
+    alpha = min(max(span / WINDOWS_S[0], span / one.seen[aid]), 1.0)
+    one.square[aid] += alpha * (clipped / numbers - one.square[aid])
+    one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
+    if size <= INNOVATION_MAX:
+        for k in range(numbers):
+            acceleration = north if k == 0 else east
+            nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
+            _correct(one, gain, nu, spread + variance)
+
+
+@inlined
+def learn_level(one, aid, span):
+    """Learn how much more the means vary than those of white innovations would."""
+    numbers = 1.0 if aid == COMPASS else 2.0
+    for i in range(WINDOWS):
+        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
+        square = (m0 * m0 + m1 * m1) / one.weight[aid, i] / numbers * one.level[aid, 0]
+        share = min(span / LEVEL_TIME_S, 0.1)
+        level = one.level[aid, i] + share * (square - one.level[aid, i])
+        one.level[aid, i] = min(max(level, 1.0), LEVEL_MAX)
+
+
+@inlined
+def aid_ratio(one, aid):
+    """Return the largest statistic of an aid over its threshold."""
+    if one.seen[aid] == 0.0:
+        return 0.0
+    most = 0.0
+    for i in range(WINDOWS):
+        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
+        # the first level is that of the innovations themselves
+        level = one.level[aid, i] / one.level[aid, 0] if i > 0 else 1.0
+        most = max(most, (m0 * m0 + m1 * m1) / (one.weight[aid, i] * level))
+    # the mean square over the shortest window, by Wilson and Hilferty's cube root
+    share = 2.0 / (9.0 * (1.0 if aid == COMPASS else 2.0) / one.weight[aid, 0])
+    z = (one.square[aid] ** (1.0 / 3.0) - 1.0 + share) / math.sqrt(share)
+    if z > 0.0:
+        most = max(most, z * z)
+    return most / THRESHOLD
+
+
+@kernel
+def test_ratio(one, k, age):
+    """Return the largest statistic of filter k over its threshold."""
+    most = 0.0
+    for aid in range(AIDS):
+        if LEFT_OUT[k, aid] == 0.0 and age[aid] <= SILENT_S:
+            most = max(most, aid_ratio(one, aid))
+    return most
+
+
+@kernel
+def forget_tests(one):
+    """Begin the tests of a filter anew."""
+    one.mean[:] = 0.0
+    one.weight[:] = 0.0
+    one.seen[:] = 0.0
+    one.square[:] = 0.0
+    one.ratio = 0.0
+
+
+@inlined
+def _gather(dt, z, bank, given):
+    """Add a row to the sums of the epoch; z has the samples that may be used."""
+    bank.clock += dt
+    bank.span += dt
+    if bank.row == 0.0:
+        bank.row = dt
+    bank.row += 0.05 * (min(dt, 2.5 * bank.row) - bank.row)
+    covered = min(dt, 2.5 * bank.row)
+    for aid in range(AIDS):
+        bank.age[aid] += dt
+        bank.age_sum[aid] += dt * bank.samples[aid]
+    for k in range(2):
+        bank.imu_age[k] += dt
+    if not math.isnan(z[5]):
+        before = z[5] if math.isnan(bank.rate) else bank.rate
+        # a sample is that of its moment: trapezoid
+        bank.gyro[0] += covered * 0.5 * (z[5] + before)
+        bank.gyro[1] += covered
+        bank.imu_age[0] = 0.0
+    bank.rate = z[5]
+    if not (math.isnan(z[6]) or math.isnan(z[7])):
+        bank.force[0] += covered * z[6]
+        bank.force[1] += covered * z[7]
+        bank.force[2] += covered
+        bank.imu_age[1] = 0.0
+    for aid in range(AIDS):
+        first = 2 * aid
+        if math.isnan(z[first]) or (aid < COMPASS and math.isnan(z[first + 1])):
+            continue
+        passed = bank.age[aid]
+        bank.age[aid] = 0.0
+        if 0.0 < passed < SILENT_S:
+            if bank.interval[aid] == 0.0:
+                bank.interval[aid] = passed
+            bank.interval[aid] += 0.1 * (passed - bank.interval[aid])
+        if aid == COMPASS:
+            if bank.samples[aid] == 0.0:
+                bank.heading = z[4]
+            bank.sum[4] += bank.heading + wrap(z[4] - bank.heading)
+            bank.age_sum[aid] += given.compass_latency
+        else:
+            bank.sum[first] += z[first]
+            bank.sum[first + 1] += z[first + 1]
+            bank.age_sum[aid] += given.gps_latency
+        bank.samples[aid] += 1.0
+
+
+@kernel
+def begin_bank(bank, z, given):
+    """Begin all filters with the first fix and heading."""
+    if not (math.isnan(z[0]) or math.isnan(z[1])):
+        bank.start[0], bank.start[1], bank.start[2], bank.start[3] = z[0], z[1], 0.0, 0.0
+        if not (math.isnan(z[2]) or math.isnan(z[3])):
+            bank.start[2], bank.start[3] = z[2], z[3]
+    if not math.isnan(z[4]):
+        bank.start[4] = z[4]
+    if math.isnan(bank.start[0]) or math.isnan(bank.start[4]):
+        return
+    bank.begun = 1.0
+    for k in range(FILTERS):
+        one = bank.filters[k]
+        one.x[:], one.P[:, :] = 0.0, 0.0
+        one.x[PN], one.x[PE], one.x[PSI] = bank.start[0], bank.start[1], bank.start[4]
+        one.x[VN], one.x[VE] = bank.start[2], bank.start[3]
+        _begin_variances(one, given)
+        one.uses_gyro = one.uses_accelerometers = -1.0
+        one.since = bank.clock
+        forget_tests(one)
+
+
+@inlined
+def _begin_variances(one, given):
+    """Write the variances of a filter that begins with a fix and a heading."""
+    one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
+    one.P[VN, VN] = one.P[VE, VE] = given.speed_var
+    one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
+
+
+@kernel
+def advance_bank(dt, z, bank, given, work):
+    """Take a row; return whether an epoch ended, so that the tests are new.
+
+    z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
+    """
+    if bank.begun == 0.0:
+        bank.clock += dt
+        begin_bank(bank, z, given)
+        return False
+    _gather(dt, z, bank, given)
+    if bank.span < EPOCH_S - 1e-6:
+        return False
+    T, row = bank.span, bank.row
+    has_gyro, has_force = bank.gyro[1] > 0.5 * min(T, row), bank.force[2] > 0.5 * min(T, row)
+    mean_rate = bank.gyro[0] / bank.gyro[1] if has_gyro else 0.0
+    forward = bank.force[0] / bank.force[2] if has_force else 0.0
+    side = bank.force[1] / bank.force[2] if has_force else 0.0
+    missing = (max(T - bank.gyro[1], 0.0), max(T - bank.force[2], 0.0))
+    for aid in range(AIDS):
+        n = bank.samples[aid]
+        if n > 0.0:
+            bank.age_sum[aid] /= n
+            for j in range(2 * aid, min(2 * aid + 2, 5)):
+                bank.sum[j] /= n
+    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5
+    active = FILTERS if 0.0 < bank.force_filter <= 3.0 else FRESH
+    for k in range(active):
+        one = bank.filters[k]
+        gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
+        driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < IMU_SILENT_S
+        _convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
+        steps = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX)
+        north = east = 0.0
+        for _ in range(steps):
+            north, east = predict(one, T / steps, mean_rate * T / steps, forward, side, bank, given)
+        if gyro and missing[0] > 0.5 * row:
+            one.P[PSI, PSI] += missing[0] * missing[0] * given.rate_var
+        if driven and missing[1] > 0.5 * row:
+            noise = 2.0 * missing[1] * given.thrust_time * max(given.thrust_var, bank.acceleration)
+            for i in range(2):
+                one.P[VN + i, VN + i] += noise
+                one.P[PN + i, PN + i] += noise * missing[1] * missing[1] / 3.0
+                one.P[PN + i, VN + i] += 0.5 * noise * missing[1]
+                one.P[VN + i, PN + i] = one.P[PN + i, VN + i]
+        rate = mean_rate - one.x[G] if gyro else one.x[G]
+        for aid in range(AIDS):
+            n = bank.samples[aid]
+            if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
+                continue
+            variance = given.compass_var
+            if aid == FIXES:
+                variance = given.fix_var
+            elif aid == VELOCITY:
+                variance = given.velocity_var
+            span = max(bank.interval[aid], T)
+            age = bank.age_sum[aid]
+            _take(one, aid, bank.sum, age, variance / n, span, rate, north, east, given, work)
+            if sound:
+                learn_level(one, aid, span)
+        one.ratio = test_ratio(one, k, bank.age)
+    if bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5:
+        share = min(T / MOTION_TIME_S, 0.1)
+        if has_force:
+            square = 0.5 * (forward * forward + side * side)
+            bank.acceleration += share * (square - bank.acceleration)
+            if not math.isnan(bank.epoch_force[0]):
+                a, b = forward - bank.epoch_force[0], side - bank.epoch_force[1]
+                walk = 0.5 * (a * a + b * b) / T
+                bank.acceleration_walk += share * (walk - bank.acceleration_walk)
+        if has_gyro and not math.isnan(bank.epoch_rate):
+            step = mean_rate - bank.epoch_rate
+            bank.rate_walk += share * (step * step / T - bank.rate_walk)
+    bank.epoch_force[0] = forward if has_force else math.nan
+    bank.epoch_force[1] = side if has_force else math.nan
+    bank.epoch_rate = mean_rate if has_gyro else math.nan
+    bank.span = 0.0
+    for j in range(5):
+        bank.sum[j] = 0.0
+    for j in range(3):
+        bank.samples[j] = bank.age_sum[j] = bank.force[j] = 0.0
+    bank.gyro[0] = bank.gyro[1] = 0.0
+    return True

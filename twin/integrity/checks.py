@@ -1,0 +1,267 @@
+"""Kernel that holds the sensors and commands of a row against each other, and leaves out faults.
+
+Information flows down once: what a sensor cannot give (:mod:`twin.integrity.screening`), the bank of
+filters and its test (:mod:`twin.integrity.bank`), which of them is in force
+(:mod:`twin.integrity.decision`), and the commands against the motion that it says
+(:mod:`twin.integrity.commands`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.integrity.bank import (
+    A1,
+    A2,
+    AIDS,
+    LEFT_OUT,
+    PSI,
+    SILENT_S,
+    VE,
+    VN,
+    G,
+    advance_bank,
+    aid_ratio,
+)
+from twin.integrity.commands import (
+    LEFT_DEAD,
+    RIGHT_DEAD,
+    SOUND,
+    WARM_UP_STEPS,
+    is_suspected,
+    watch_commands,
+)
+from twin.integrity.decision import decide
+from twin.integrity.screening import PARTS, find_frozen, screen
+from twin.integrity.state import (
+    ABSENT,
+    COMMANDS,
+    CONTRADICTS,
+    DOUBTFUL,
+    EXCLUDED,
+    FROZEN,
+    GPS,
+    HYPOTHESIS_REASON,
+    IMPOSSIBLE,
+    NEVER_S,
+    NO_REASON,
+    OK,
+    SILENT,
+    VELOCITY_OUT,
+)
+from twin.integrity.wind import check_wind
+from usv_kernel.jit import inlined, kernel
+
+__all__ = ["check_sensors"]
+
+NO_GYRO, NO_ACCELEROMETERS, NO_VELOCITY = 5, 6, 2
+"""Filters of the bank that leave one of these out."""
+
+
+@inlined
+def _set(memory, sensor, status, reason):
+    """Set the status of a sensor, and since when it is so; count the changes."""
+    one = memory.sensors[sensor]
+    if one.status != status or one.reason != reason:
+        if one.status != status:
+            one.since = memory.clock
+            memory.changes += 1.0
+        one.status, one.reason = status, reason
+
+
+@inlined
+def _may_be_at_fault(bank, sensor):
+    """Return whether a filter passes that leaves a sensor out."""
+    found = False
+    for k in range(1, LEFT_OUT.shape[0] - 1):
+        left = LEFT_OUT[k, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[k, 0] > 0.0)
+        found = found or (left and bank.filters[k].ratio < 1.0)
+    return found
+
+
+@inlined
+def _set_statuses(dt, z, memory):
+    """Say of each sensor whether it is used, and why not."""
+    bank = memory.bank
+    force = int(bank.force_filter)
+    for sensor in range(COMMANDS):
+        one, first = memory.sensors[sensor], PARTS[sensor + 1, 0] if sensor > GPS else 0
+        one.silent = 0.0 if not math.isnan(z[first]) else one.silent + dt
+        frozen = memory.frozen[sensor + 1] > 0.0 or (sensor == GPS and memory.frozen[0] > 0.0)
+        masked = memory.masked[sensor + 1] > 0.0 or memory.garbage > 0.0
+        left = LEFT_OUT[force, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[force, 0] > 0.0)
+        why = FROZEN if frozen else CONTRADICTS
+        if masked:
+            _set(memory, sensor, EXCLUDED, IMPOSSIBLE)
+        elif left and one.silent > SILENT_S:
+            _set(memory, sensor, ABSENT, SILENT)
+        elif left and force == NO_VELOCITY:
+            _set(memory, sensor, DOUBTFUL, VELOCITY_OUT)
+        elif left:
+            keep = one.status == EXCLUDED and one.reason > NO_REASON and one.reason != IMPOSSIBLE
+            _set(memory, sensor, EXCLUDED, one.reason if keep else why)
+        elif one.silent > SILENT_S:
+            _set(memory, sensor, ABSENT, SILENT if one.status > ABSENT or one.reason > 0.0 else 0.0)
+        elif memory.decision.in_doubt > 0.0 and _may_be_at_fault(bank, sensor):
+            _set(memory, sensor, DOUBTFUL, why)
+        elif one.silent == 0.0 or one.status > ABSENT:
+            _set(memory, sensor, OK, NO_REASON)
+    commands = memory.drives
+    h = int(commands.hypothesis)
+    if commands.impossible > 0.0:
+        _set(memory, COMMANDS, EXCLUDED, IMPOSSIBLE)
+    elif h == SOUND:
+        _set(memory, COMMANDS, OK, NO_REASON)
+    elif h == LEFT_DEAD or h == RIGHT_DEAD:
+        # the boat has changed: its commands are used, and the twin learns what they do now
+        _set(memory, COMMANDS, DOUBTFUL, HYPOTHESIS_REASON + h - 1)
+    else:
+        _set(memory, COMMANDS, EXCLUDED, HYPOTHESIS_REASON + h - 1)
+
+
+@inlined
+def _watch(dt, cmd, memory, given):
+    """Hold the commands against the motion that the filter in force says."""
+    bank = memory.bank
+    one = bank.filters[int(bank.force_filter)]
+    c, s = math.cos(one.x[PSI]), math.sin(one.x[PSI])
+    u, v = one.x[VN] * c + one.x[VE] * s, one.x[VE] * c - one.x[VN] * s
+    gyro = bank.epoch_rate - bank.filters[0].x[G]
+    rate = gyro if one.uses_gyro > 0.0 and not math.isnan(gyro) else one.x[G]
+    other = bank.filters[NO_GYRO].x[G]
+    sound = bank.filters[0]
+    bias = (sound.x[A1], sound.x[A2]) if sound.uses_accelerometers > 0.0 else (0.0, 0.0)
+    forces = (memory.z[6] - bias[0], memory.z[7] - bias[1])
+    # the origin moves otherwise than the IMU where it turns
+    v += rate * given.bank.origin_arm[0]
+    u -= rate * given.bank.origin_arm[1]
+    turns = min(bank.imu_age[0] if one.uses_gyro > 0.0 else NEVER_S, bank.age[2]) < KNOWN_S
+    known, doubted = bank.begun > 0.0 and turns, memory.decision.in_doubt > 0.0
+    force, has_gps = int(bank.force_filter), False
+    for aid in range(2):
+        has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
+    watch_commands(
+        dt, cmd, (rate, u, v, other), forces, known, doubted, has_gps, memory.clock, memory.drives,
+        given.drives,
+    )  # fmt: skip
+    return has_gps
+
+
+@inlined
+def _write_restart(memory, has_gps, given):
+    """Write where the filter in force is, for the navigation to begin again from.
+
+    Without GPS a filter without a ship's model knows no better where the boat is: only the heading
+    and, without accelerometers, the surge by the commands begin again.
+    """
+    bank = memory.bank
+    k = int(bank.force_filter)
+    one = bank.filters[k]
+    restart = memory.restart
+    x, P, state, cov = one.x, one.P, restart.state, restart.cov
+    c, s = math.cos(x[PSI]), math.sin(x[PSI])
+    gyro = bank.rate - x[G]
+    rate = gyro if one.uses_gyro > 0.0 and not math.isnan(gyro) else x[G]
+    ahead, side = given.bank.origin_arm[0], given.bank.origin_arm[1]
+    state[0], state[1] = x[0] + c * ahead - s * side, x[1] + s * ahead + c * side
+    state[2], state[5] = x[PSI], rate
+    state[3] = x[VN] * c + x[VE] * s - rate * side
+    state[4] = x[VE] * c - x[VN] * s + rate * ahead
+    for i in range(6):
+        for j in range(6):
+            cov[i, j] = 0.0
+    drift = given.bank.fix_bias_var
+    cov[0, 0], cov[1, 1] = P[0, 0] + drift, P[1, 1] + drift
+    cov[0, 1] = cov[1, 0] = P[0, 1]
+    cov[2, 2] = P[PSI, PSI] + given.bank.compass_bias_var
+    for i in range(2):
+        for j in range(2):
+            a = (c, s) if i == 0 else (-s, c)
+            b = (c, s) if j == 0 else (-s, c)
+            total = 0.0
+            for m in range(2):
+                for n in range(2):
+                    total += a[m] * P[VN + m, VN + n] * b[n]
+            cov[3 + i, 3 + j] = total
+        for m in range(2):
+            cov[m, 3 + i] = P[m, VN] * (c if i == 0 else -s) + P[m, VE] * (s if i == 0 else c)
+            cov[3 + i, m] = cov[m, 3 + i]
+    cov[5, 5] = P[G, G] + given.bank.gyro_var
+    restart.position = 1.0 if has_gps else 0.0
+    restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
+    restart.surge = 0.0
+    if not has_gps and k == NO_ACCELEROMETERS and memory.drives.steps > WARM_UP_STEPS:
+        restart.surge = 1.0
+        state[3], state[4] = memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed, 0.0
+        for i in range(3, 5):
+            for j in range(6):
+                cov[i, j] = cov[j, i] = 0.0
+            cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
+
+
+KNOWN_S = 1.0
+"""The yaw rate is known by a sample of gyro or compass that is no older."""
+
+RESTART_SD = 0.2
+"""Standard deviation of a surge by the commands alone and of a sway taken for zero, nominal speeds."""
+
+
+@kernel
+def check_sensors(dt, z, cmd, state, ready, memory, given, out):
+    """Hold the sensors of a row against each other, and leave out those at fault.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the row before, s.
+    z, cmd : ndarray, shapes (19,), (4,)
+        The row.
+    state : ndarray, shape (6,)
+        State that the predictor had after the row before; for the wind only.
+    ready : bool
+        Whether that means anything.
+    memory, given : record
+        ``INTEGRITY``, advanced in place; ``INTEGRITY_SETTINGS``.
+    out : ndarray, shape (19,)
+        The row without the samples of what is left out, and with the true wind of an anemometer.
+    """
+    memory.clock += dt
+    for j in range(out.shape[0]):
+        out[j] = z[j]
+    screen(dt, z, memory, given)
+    for j in range(PARTS[4, 1]):
+        out[j] = memory.z[j]
+    find_frozen(dt, memory, given)
+    bank = memory.bank
+    memory.switched = 0.0
+    has_gps = _watch(dt, cmd, memory, given)
+    if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
+        drives = memory.drives
+        trusted = drives.hypothesis == SOUND and not has_gps and not is_suspected(drives)
+        switched = decide(
+            bank, memory.decision, memory.frozen[:], drives.yaw_witness,
+            drives.force_ratio if trusted else 0.0, given.bank,
+        )  # fmt: skip
+        if switched:
+            memory.switched = 1.0
+            _write_restart(memory, has_gps, given)
+    force = int(bank.force_filter)
+    for part in range(PARTS.shape[0]):
+        if LEFT_OUT[force, part] > 0.0:
+            for j in range(PARTS[part, 0], PARTS[part, 1]):
+                out[j] = math.nan
+    if memory.decision.in_doubt > 0.0:
+        # what fails is not used until it is known what is wrong
+        for aid in range(AIDS):
+            if aid_ratio(bank.filters[force], aid) >= 1.0:
+                for j in range(PARTS[aid, 0], PARTS[aid, 1]):
+                    out[j] = math.nan
+    _set_statuses(dt, z, memory)
+    h = memory.drives.hypothesis
+    out_of_force = h != SOUND and h != LEFT_DEAD and h != RIGHT_DEAD
+    memory.commands_doubted = 1.0 if memory.drives.impossible > 0.0 or out_of_force else 0.0
+    doubted = memory.decision.in_doubt > 0.0
+    for part in range(3):
+        doubted = doubted or LEFT_OUT[force, part] > 0.0
+    memory.motion_doubted = 1.0 if doubted else 0.0
+    check_wind(dt, out, state, ready, memory, given)

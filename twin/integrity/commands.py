@@ -1,0 +1,575 @@
+"""Commands held against the motion that they should make: two regressions and named hypotheses.
+
+In a step of about a third of a length over nominal speed, yaw rate and surge change by
+
+    dr = a1 r + a2 r |r| + a3 M + a4 D + a5 u v + a6
+    du = b1 u + b2 u |u| + b3 T + b4 r^2 + b5 v r
+
+with the thrust T that the commands ask for, the moment M of its steering part and the difference D
+of the sides, all in nominal units (speed, length over speed, thrust). The coefficients are learned
+by recursive least squares with forgetting, and what is left over, which waves make, by its mean
+square. A hypothesis says what a boat makes of its commands: it changes the signs and sides in T, M
+and D. Evidence for it is the cumulative sum of its log-likelihood ratio to the one in force, of
+Student's t, each step weighed by the correlation of the residuals: waves last longer than a step.
+
+Without GPS, what the accelerometers measured stands for the change of the surge, and the surge of
+each hypothesis is that by its commands alone. Two witnesses help the bank there: which of gyro and
+compass turns as the commands say, and whether the accelerometers measure what the commands make.
+
+Sources: Page 1954 (cumulative sum); Willsky and Jones 1976 (likelihood ratios of faults); Ljung
+1999, System Identification, 11.2 (recursive least squares); Bayley and Hammersley 1946 (effective
+number of correlated samples).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.integrity.bank import LEVEL_MAX, THRESHOLD
+from twin.particulars import Particulars
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "DRIVES",
+    "DRIVES_SETTINGS",
+    "HYPOTHESES",
+    "drives_settings",
+    "initial_drives",
+    "is_suspected",
+    "watch_commands",
+]
+
+Array = NDArray[np.float64]
+
+(
+    SOUND,
+    REVERSED,
+    STEERING_REVERSED,
+    THRUST_REVERSED,
+    SWAPPED,
+    LEFT_DEAD,
+    RIGHT_DEAD,
+    HELD,
+    UNKNOWN,
+) = range(9)
+
+EFFECTS = np.array(
+    [
+        # thrust of left, right; steering of left, right; difference of thrust of left, right
+        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],
+        [[-1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]],
+        [[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]],
+        [[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]],
+        [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]],
+        [[0.0, 1.0], [0.0, 1.0], [0.0, -1.0]],
+        [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],
+        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],
+        [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
+    ]
+)
+"""Factors of the sides in what a boat makes of its commands. The last but one, of commands of zero,
+goes on with the drive of before; the last makes anything."""
+
+HYPOTHESES = len(EFFECTS)
+
+YAW, SURGE = range(2)
+
+TERMS = 6
+
+STEP = 0.35
+"""Length of a step, in lengths over nominal speed: in shorter ones waves hide what commands do, in
+longer ones drag answers."""
+
+STEP_MIN_S = 0.9
+"""A step is no shorter."""
+
+STEP_LONG = 1.7
+"""A step of more than so many lengths is a gap: its mean drive says little of it."""
+
+WARM_UP_STEPS = 35.0
+"""Nothing is concluded before."""
+
+DECIDED = 16.0
+"""Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
+
+DRIFT = 0.2
+"""What a step takes off the evidence (Page's drift)."""
+
+FADE = 0.99
+"""Share of the evidence that a step leaves."""
+
+SUSPECT = 1.0
+"""Above this evidence nothing is learned: what is wrong would become the model."""
+
+FREEDOM = 10.0
+"""Degrees of freedom of Student's t: waves come in groups."""
+
+UNKNOWN_SD = 0.7
+"""Standard deviation of the drive that unknown commands make, in nominal ones."""
+
+FORGETTING_STEPS = 200.0
+"""The variances of the coefficients grow by one part in so many in a step."""
+
+RESIDUAL_STEPS = 80.0
+"""Steps over which residuals are averaged."""
+
+RESIDUAL_SD_MIN, RESIDUAL_SD_MAX = 0.009, 0.3
+"""Bounds of the standard deviation of the residuals, nominal units."""
+
+RESIDUAL_MAX = 3.0
+"""A residual counts up to so many standard deviations in what is learned."""
+
+SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
+"""Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad."""
+
+IMPOSSIBLE_S = 2.0
+"""Commands are left out for so long after an impossible one."""
+
+KNOWN_S = 2.0
+"""After a sensor of the motion came back, the estimated motion needs so long to be right."""
+
+AGAIN_S = 60.0
+"""What has lasted for so long is a boat that has changed: it is learned anew."""
+
+FOLLOW_S = 20.0
+"""Time constant with which the motion by the commands alone follows the true one, while that is
+known: so it is learned how wrong it becomes."""
+
+FORCE_S = 4.0
+"""Window over which accelerometers are held against the commands: longer than waves."""
+
+FORCE_TIME_S = 60.0
+"""Time constant with which offsets and variances of what they differ by are learned."""
+
+WITNESS_S = 10.0
+"""Time constant of the witness of gyro and compass."""
+
+DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
+"""Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
+
+MOTION_MAX = 3.0
+"""No boat turns or moves faster, in nominal units."""
+
+DRIVES = np.dtype(
+    [
+        ("theta", "f8", (2, TERMS)),  # coefficients of yaw and surge
+        ("P", "f8", (2, TERMS, TERMS)),  # their covariances
+        ("variance", "f8", 2),  # of the residuals
+        ("product", "f8", 2),  # mean of a whitened residual times the one before
+        ("residual", "f8", 2),  # the last one, whitened
+        ("drive", "f8", 4),  # thrust of left and right, and its steering part, after the lags
+        ("sum", "f8", 4),  # integral over the step, s; then its mean
+        ("held", "f8", 4),  # mean drive of the last step in which nothing was at odds
+        ("span", "f8"),  # time since the step began, s; below 0 there is none
+        ("begin", "f8", 2),  # yaw rate and surge when it began
+        ("sway", "f8"),  # sway then
+        ("known", "f8"),  # how long the motion has been known, s
+        ("steps", "f8"),  # steps weighed
+        ("evidence", "f8", HYPOTHESES),
+        ("hypothesis", "f8"),  # the one in force
+        ("since", "f8"),  # clock at which it came into force, s
+        ("impossible", "f8"),  # time for which commands are still left out, s
+        ("trusted", "f8", 4),  # last command before anything was at odds
+        ("before", "f8", 4),  # the one of the step after
+        ("drift", "f8", 2),  # leaky sums of sway times yaw rate and of its square
+        ("gained", "f8", 2),  # integrals of the specific forces over the step, m/s ...
+        ("gained_s", "f8"),  # ... and the time that they were measured, s
+        ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
+        ("offset", "f8", 2),  # what the forces are more than the commands make in a step
+        ("force_var", "f8", 2),  # variance of that
+        ("mean", "f8", 2),  # mean of it whitened over FORCE_S
+        ("weight", "f8"),  # sum of the squared weights of this mean
+        ("level", "f8", 2),  # its variance over that of independent steps
+        ("seen", "f8"),  # time that it has seen, s
+        ("force_ratio", "f8"),  # largest statistic over its threshold, without GPS
+        ("yaw", "f8"),  # yaw rate by the commands alone
+        ("yaw_var", "f8"),  # variance of what it is wrong by
+        ("yaw_witness", "f8"),  # log-likelihood of the turn by compass over that by gyro
+        ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
+        ("gain", "f8", TERMS),  # scratch
+        ("likelihood", "f8", HYPOTHESES),  # scratch
+    ]
+)
+"""What the checks of the commands remember; nominal units where none are stated."""
+
+DRIVES_SETTINGS = np.dtype(
+    [
+        ("speed", "f8"),  # nominal, m/s
+        ("time", "f8"),  # length over nominal speed, s
+        ("shaft_speed", "f8"),  # nominal, rev/s
+        ("lag", "f8"),  # of shafts and drives, s
+        ("sides", "f8"),  # 1 for a thruster on each side, else 0
+    ]
+)
+"""What they are given of a boat."""
+
+
+def drives_settings(particulars: Particulars) -> Array:
+    """Return what the checks of the commands are given, in the order of DRIVES_SETTINGS."""
+    return np.array(
+        [
+            particulars.speed,
+            particulars.length / particulars.speed,
+            particulars.shaft_speed,
+            max(particulars.shaft_lag, particulars.steer_lag, 0.05),
+            particulars.steering != "rudder" and not particulars.tanker,
+        ]
+    )
+
+
+def initial_drives(particulars: Particulars) -> Array:
+    """Return the memory of checks that have seen nothing, with the priors of any boat.
+
+    A boat reaches its nominal speed within one to three lengths; half of its drag is linear.
+    """
+    memory = np.zeros(DRIVES.itemsize // 8)
+    drives = memory.view(DRIVES)[0]
+    length = max(STEP, STEP_MIN_S / (particulars.length / particulars.speed))
+    push = 0.4 * length
+    drives["theta"][YAW, [0, 3]] = -0.3 * length, push
+    drives["theta"][SURGE, [0, 1, 2, 4]] = -0.5 * push, -0.5 * push, push, 1.3 * length
+    yaw = np.array([0.5, 0.5, 1.0, 1.2, 0.4, 0.02]) * length
+    surge = np.array([0.4, 0.4, 0.6, 1.0, 0.4, 1e-6]) * length
+    drives["P"] = np.array([np.diag(yaw**2), np.diag(surge**2)])
+    drives["variance"], drives["force_var"], drives["yaw_var"] = 0.02**2, 0.1**2, 0.1**2
+    drives["span"] = -1.0
+    return memory
+
+
+@inlined
+def _limited(motion):
+    """Return a motion that a boat can have."""
+    return min(max(motion, -MOTION_MAX), MOTION_MAX)
+
+
+@inlined
+def _write_rows(drives, yaw, surge, sway, has_gps, given):
+    """Write the regressors of all hypotheses."""
+    for h in range(HYPOTHESES):
+        row, mean = drives.row[h], drives.held if h == HELD else drives.sum
+        thrust = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
+        moment = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
+        difference = EFFECTS[h, 2, 0] * mean[0] + EFFECTS[h, 2, 1] * mean[1]
+        u = surge if has_gps else drives.surges[h]
+        row[YAW, 0], row[YAW, 1], row[YAW, 2] = yaw, yaw * abs(yaw), moment
+        row[YAW, 3], row[YAW, 4], row[YAW, 5] = difference * given.sides, u * sway, 1.0
+        row[SURGE, 0], row[SURGE, 1], row[SURGE, 2] = u, u * abs(u), thrust
+        row[SURGE, 3], row[SURGE, 4], row[SURGE, 5] = yaw * yaw, sway * yaw, 0.0
+
+
+@inlined
+def _change(drives, axis, row):
+    """Return the change of an axis by regressors."""
+    change = 0.0
+    for i in range(TERMS):
+        change += row[i] * drives.theta[axis, i]
+    return change
+
+
+@inlined
+def _spread(drives, axis, h, given):
+    """Return the variance of the change of an axis by a hypothesis."""
+    S, row, theta = drives.variance[axis], drives.row[h, axis], drives.theta[axis]
+    for i in range(TERMS):
+        part = 0.0
+        for j in range(TERMS):
+            part += drives.P[axis, i, j] * row[j]
+        S += row[i] * part
+    if h == UNKNOWN:
+        size = theta[2] * theta[2]
+        if axis == YAW:
+            size = 0.25 * size + given.sides * theta[3] * theta[3]
+        S += UNKNOWN_SD * UNKNOWN_SD * size
+    return S
+
+
+@inlined
+def _log_likelihood(error, S):
+    """Return the logarithm of Student's density, but for a constant."""
+    ratio = error * error / (S * FREEDOM)
+    return -0.5 * math.log(S) - 0.5 * (FREEDOM + 1.0) * math.log(1.0 + ratio)
+
+
+@inlined
+def _weight(drives, axis):
+    """Return the share of independent residuals, by the correlation of neighbouring ones."""
+    r = min(max(drives.product[axis], 0.0), 0.9)
+    return (1.0 - r) / (1.0 + r)
+
+
+@kernel
+def _learn(drives, axis, h, change):
+    """Learn from the change of an axis under a hypothesis."""
+    row, P, gain = drives.row[h, axis], drives.P[axis], drives.gain
+    S = drives.variance[axis]
+    for i in range(TERMS):
+        gain[i] = 0.0
+        for j in range(TERMS):
+            gain[i] += P[i, j] * row[j]
+        S += row[i] * gain[i]
+    error = change - _change(drives, axis, row)
+    # an error of many deviations counts less
+    left = max(S, error * error / RESIDUAL_MAX**2)
+    for i in range(TERMS):
+        drives.theta[axis, i] += gain[i] * error / left
+        for j in range(TERMS):
+            P[i, j] -= gain[i] * gain[j] / left
+    for i in range(TERMS):
+        P[i, i] *= 1.0 + 1.0 / FORGETTING_STEPS
+    share = 1.0 / min(max(drives.steps, 4.0), RESIDUAL_STEPS)
+    excess = min(error * error, RESIDUAL_MAX**2 * S) - S
+    variance = drives.variance[axis] + share * excess
+    drives.variance[axis] = min(max(variance, RESIDUAL_SD_MIN**2), RESIDUAL_SD_MAX**2)
+    w = min(max(error / math.sqrt(S), -RESIDUAL_MAX), RESIDUAL_MAX)
+    drives.product[axis] += share * (w * drives.residual[axis] - drives.product[axis])
+    drives.residual[axis] = w
+
+
+@inlined
+def is_suspected(drives):
+    """Return whether another hypothesis than the one in force gathers evidence."""
+    most = 0.0
+    for h in range(HYPOTHESES):
+        most = max(most, drives.evidence[h])
+    return most > SUSPECT
+
+
+@inlined
+def _put_in_force(drives, h, now):
+    """Take a hypothesis for true."""
+    drives.hypothesis, drives.since = h, now
+    for k in range(HYPOTHESES):
+        drives.evidence[k] = 0.0
+        drives.surges[k] = drives.surges[h]
+
+
+@inlined
+def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
+    """Write the log-likelihood of a step by each hypothesis."""
+    for h in range(HYPOTHESES):
+        total = 0.0
+        for axis in range(axes):
+            change = _change(drives, axis, drives.row[h, axis])
+            S = _spread(drives, axis, h, given)
+            total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
+        if not has_gps:
+            if axes > SURGE:
+                # to starboard the accelerometers measure the turn at the surge of the hypothesis
+                error = changes[2] - drives.surges[h] * turned
+                S = max(drives.force_var[1], RESIDUAL_SD_MIN**2)
+                total += _log_likelihood(error, S) / max(drives.level[1], 1.0)
+            change = _change(drives, SURGE, drives.row[h, SURGE])
+            drives.surges[h] = _limited(drives.surges[h] + change)
+        drives.likelihood[h] = total
+
+
+@kernel
+def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
+    """Add the evidence of a step, and learn from it.
+
+    ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
+    ``turned`` is the heading, rad.
+    """
+    force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
+    _write_likelihoods(drives, changes, turned, axes, has_gps, given)
+    drives.steps += 1.0
+    strongest = force
+    if trained:
+        for h in range(HYPOTHESES):
+            sided = given.sides == 0.0 and SWAPPED <= h <= RIGHT_DEAD
+            # without GPS accelerometers at fault would be commands that make anything
+            unasked = (h == HELD and not stopped) or (h == UNKNOWN and not has_gps)
+            if h == force or sided or unasked:
+                drives.evidence[h] = 0.0
+            else:
+                more = min(drives.likelihood[h] - drives.likelihood[force], DECIDED) - DRIFT
+                drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
+            if drives.evidence[h] == 0.0:
+                drives.surges[h] = drives.surges[force]
+            if drives.evidence[h] > drives.evidence[strongest]:
+                strongest = h
+        if drives.evidence[strongest] > DECIDED:
+            _put_in_force(drives, strongest, now)
+        elif force != SOUND and now - drives.since > AGAIN_S:
+            _put_in_force(drives, SOUND, now)
+            drives.steps = 0.0
+    suspected = is_suspected(drives)
+    force = int(drives.hypothesis)
+    known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
+    if has_gps and known and not (trained and suspected):
+        for axis in range(2):
+            _learn(drives, axis, force, changes[axis])
+    return suspected
+
+
+@inlined
+def _watch_yaw(drives, gyro, compass, surge, sway, span, h, has_gps):
+    """Hold the yaw rates by gyro and by compass against that by the commands alone."""
+    row = drives.row[h, YAW]
+    row[0], row[1], row[4] = drives.yaw, drives.yaw * abs(drives.yaw), surge * sway
+    drives.yaw = _limited(drives.yaw + _change(drives, YAW, row))
+    S = max(drives.yaw_var, RESIDUAL_SD_MIN**2)
+    ratio = _log_likelihood(compass - drives.yaw, S) - _log_likelihood(gyro - drives.yaw, S)
+    drives.yaw_witness = math.exp(-span / WITNESS_S) * drives.yaw_witness + ratio
+    if has_gps:
+        error = gyro - drives.yaw
+        drives.yaw_var += span / FORCE_TIME_S * (error * error - drives.yaw_var)
+        drives.yaw += span / FOLLOW_S * error
+        drives.yaw_witness = 0.0
+
+
+@inlined
+def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
+    """Hold what the accelerometers measured in a step against what the commands make.
+
+    ``surge`` is that by the commands alone when the step began.
+    """
+    row = drives.row[h, SURGE]
+    row[0], row[1] = surge, surge * abs(surge)
+    drives.seen += span
+    alpha, share = min(max(span / FORCE_S, span / drives.seen), 1.0), span / FORCE_TIME_S
+    drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
+    drives.force_ratio = 0.0
+    for axis in range(2):
+        excess = changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
+        if has_gps:
+            drives.offset[axis] += share * excess
+            drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
+        w = excess / math.sqrt(max(drives.force_var[axis], RESIDUAL_SD_MIN**2))
+        w = min(max(w, -6.0), 6.0)
+        drives.mean[axis] += alpha * (w - drives.mean[axis])
+        square = drives.mean[axis] * drives.mean[axis] / drives.weight
+        if has_gps:
+            drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
+        else:
+            square /= max(drives.level[axis], 1.0) * THRESHOLD
+            drives.force_ratio = max(drives.force_ratio, square)
+
+
+@inlined
+def _follow(drives, yaw, surge, sway, span, trained):
+    """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
+    fade = 1.0 - 1.0 / DRIFT_STEPS
+    drives.drift[0] = fade * drives.drift[0] + sway * yaw
+    drives.drift[1] = fade * drives.drift[1] + yaw * yaw
+    if not trained:
+        drives.yaw = yaw
+    h = int(drives.hypothesis)
+    own = surge
+    if trained:
+        own = drives.surges[h] + _change(drives, SURGE, drives.row[h, SURGE])
+        own = _limited(own + span / FOLLOW_S * (surge - own))
+    for k in range(HYPOTHESES):
+        drives.surges[k] = own
+
+
+@kernel
+def _end_step(drives, motion, stopped, doubted, has_gps, now, given):
+    """Weigh a step that has ended; return whether the commands explain it."""
+    span, h, T, U = drives.span, int(drives.hypothesis), given.time, given.speed
+    for i in range(4):
+        drives.sum[i] /= span
+    yaw, surge, sway = motion[0] * T, motion[1] / U, 0.5 * (motion[2] / U + drives.sway)
+    turn = 0.5 * (yaw + drives.begin[YAW])
+    if not has_gps:
+        # unknown: it goes with the yaw rate
+        sway = drives.drift[0] / (drives.drift[1] + DRIFT_FLOOR) * turn
+    turned, measured = turn * span / T, drives.gained_s > 0.5 * span
+    scale = span / max(drives.gained_s, 1e-9) / U
+    forces = (
+        drives.gained[0] * scale + sway * turned - drives.offset[0],
+        drives.gained[1] * scale - drives.offset[1],
+    )
+    change = surge - drives.begin[SURGE] if has_gps else forces[0]
+    changes = (yaw - drives.begin[YAW], change, forces[1])
+    trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
+    _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
+    suspected = True
+    if not doubted:
+        axes = 2 if has_gps or measured else 1
+        suspected = _weigh(drives, changes, turned, axes, stopped, has_gps, now, given)
+    if trained and int(drives.hypothesis) == h:
+        at = drives.begin[SURGE] if has_gps else own
+        _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
+        if measured and not doubted:
+            ahead = (changes[0], forces[0], forces[1])
+            _watch_forces(drives, own, ahead, sway, turned, span, h, has_gps)
+    else:
+        drives.yaw_witness = drives.seen = drives.force_ratio = drives.weight = 0.0
+        drives.mean[0] = drives.mean[1] = 0.0
+    if has_gps and not doubted:
+        _follow(drives, yaw, surge, sway, span, trained)
+    return not suspected and drives.hypothesis == SOUND
+
+
+@inlined
+def _begin_step(drives, motion, given):
+    """Begin a step at a motion."""
+    drives.span = drives.gained[0] = drives.gained[1] = drives.gained_s = 0.0
+    for i in range(4):
+        drives.sum[i] = 0.0
+    drives.begin[YAW], drives.begin[SURGE] = motion[0] * given.time, motion[1] / given.speed
+    drives.sway = motion[2] / given.speed
+
+
+@kernel
+def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives, given):
+    """Take a row.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the row before, s.
+    cmd : ndarray, shape (4,)
+        Command in force since then.
+    motion : tuple of 4 floats
+        Yaw rate, surge and sway over the ground, and yaw rate without gyro; rad/s and m/s.
+    force : tuple of 2 floats
+        Specific forces forward and to starboard less their biases, m/s2; NaN where there are none.
+    known, doubted, has_gps : bool
+        Whether the motion is measured; whether its sensors contradict each other, so that only the
+        witnesses take the row; whether the velocity is measured.
+    now : float
+        Clock, s.
+    drives, given : record
+        ``DRIVES``, advanced; ``DRIVES_SETTINGS``.
+    """
+    left, right = cmd[0] / given.shaft_speed, cmd[1] / given.shaft_speed
+    possible = max(abs(left), abs(right)) < SHAFT_MAX and max(abs(cmd[2]), abs(cmd[3])) < ANGLE_MAX
+    drives.impossible = max(drives.impossible - dt, 0.0) if possible else IMPOSSIBLE_S
+    drives.known = drives.known + dt if known else 0.0
+    if not possible:
+        drives.span = -1.0
+        return
+    length = max(STEP * given.time, STEP_MIN_S)
+    stopped = left == 0.0 and right == 0.0
+    if drives.known <= KNOWN_S:
+        drives.span = -1.0
+    elif drives.span < 0.0:
+        _begin_step(drives, motion, given)
+    elif drives.span >= length - 1e-6:
+        if drives.span < STEP_LONG * length:
+            if _end_step(drives, motion, stopped, doubted, has_gps, now, given):
+                for i in range(4):
+                    drives.trusted[i] = drives.before[i]
+                    drives.before[i] = cmd[i]
+                    if not stopped:
+                        drives.held[i] = drives.sum[i]
+        _begin_step(drives, motion, given)
+    share = 1.0 - math.exp(-dt / given.lag)
+    for side in range(2):
+        speed = left if side == 0 else right
+        thrust, angle = 0.5 * speed * abs(speed), cmd[2 + side]
+        drives.drive[side] += share * (thrust * math.cos(angle) - drives.drive[side])
+        drives.drive[2 + side] += share * (thrust * math.sin(angle) - drives.drive[2 + side])
+    for i in range(4):
+        drives.sum[i] += dt * drives.drive[i]
+    if drives.span >= 0.0:
+        drives.span += dt
+        if not math.isnan(force[0]):
+            drives.gained[0] += dt * force[0]
+            drives.gained[1] += dt * force[1]
+            drives.gained_s += dt

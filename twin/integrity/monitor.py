@@ -1,0 +1,217 @@
+"""The checks of sensors and commands for one boat, as users see them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import MEASUREMENTS
+from twin.checkpoint import Field, State, check_fields, fill
+from twin.integrity.checks import check_sensors
+from twin.integrity.state import (
+    INTEGRITY,
+    INTEGRITY_SETTINGS,
+    OK,
+    REASONS,
+    SENSORS,
+    STATUSES,
+    WIND_CHECK,
+    initial_integrity,
+    integrity_settings,
+)
+from twin.particulars import Particulars
+from usv_kernel.jit import kernel
+from usv_kernel.records import as_record, field_at
+
+__all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
+
+Array = NDArray[Any]
+
+_CHANGES, _SWITCHED = field_at(INTEGRITY, "changes"), field_at(INTEGRITY, "switched")
+
+_WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
+    field_at(INTEGRITY, "wind") + field_at(WIND_CHECK, name)
+    for name in ("status", "reason", "known")
+)
+
+
+class SensorStatus(NamedTuple):
+    """What is known of a sensor."""
+
+    status: str
+    """``ok``; ``doubtful``: at odds with others, but used; ``excluded``: not used; ``absent``."""
+    since: float
+    """Time since which it is so, s."""
+    why: str
+    """In words; empty where all is well."""
+
+    def __str__(self) -> str:
+        """Return it in words, such as ``excluded since 88.4 s: gps jumped``."""
+        since = f" since {self.since:.1f} s" if math.isfinite(self.since) else ""
+        return f"{self.status}{since}" + (f": {self.why}" if self.why else "")
+
+
+@kernel
+def _check(dt, z, cmd, s, ready, memory, settings, out):
+    """Do :func:`check_sensors` on flat memory."""
+    record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
+    check_sensors(dt, z, cmd, s, ready, record, given, out)
+
+
+def statuses_of(record: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
+    """Return the status of each sensor by its name.
+
+    Parameters
+    ----------
+    record : record
+        ``INTEGRITY``.
+    begin : float
+        Time of its first row, s.
+
+    Returns
+    -------
+    dict of str to SensorStatus
+        In the order of ``twin.integrity.state.SENSORS``.
+    """
+    found = {}
+    for name, check in zip(SENSORS, record["sensors"], strict=True):
+        reason = REASONS[int(check["reason"])]
+        since = begin + float(check["since"])
+        found[name] = SensorStatus(
+            STATUSES[int(check["status"])], since, f"{name} {reason}" if reason else ""
+        )
+    return found
+
+
+class SensorMonitor:
+    """Holds sensors and commands of a boat against each other, row by row.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat and its instruments.
+
+    Attributes
+    ----------
+    memory : ndarray
+        All that is remembered, in the layout of ``twin.integrity.state.INTEGRITY``.
+    record : record
+        The same by name: a view.
+    """
+
+    def __init__(self, particulars: Particulars) -> None:
+        self._settings = integrity_settings(particulars)
+        self._initial = initial_integrity(particulars)
+        self._out = np.full(len(MEASUREMENTS), math.nan)
+        self.remember(self._initial.copy())
+
+    def remember(self, memory: Array) -> None:
+        """Remember in this memory from now on; see :attr:`memory`."""
+        self.memory, self.record = memory, memory.view(INTEGRITY)[0]
+
+    def __getstate__(self) -> dict[str, Array]:
+        """Return what copies are made of: a copied record would be no view."""
+        return {
+            "settings": self._settings,
+            "initial": self._initial,
+            "out": self._out,
+            "memory": self.memory,
+        }
+
+    def __setstate__(self, state: dict[str, Array]) -> None:
+        """Become a copy."""
+        self._settings, self._out = state["settings"], state["out"]
+        self._initial = state["initial"]
+        self.remember(state["memory"])
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.memory[:] = self._initial
+
+    @property
+    def changes(self) -> float:
+        """How often the status of a sensor has changed."""
+        return float(self.memory[_CHANGES])
+
+    @property
+    def commands_doubted(self) -> bool:
+        """True while the commands do not explain how the boat moves."""
+        return bool(self.record["commands_doubted"] > 0.0)
+
+    @property
+    def motion_doubted(self) -> bool:
+        """True while GPS or compass are left out, or sensors contradict each other."""
+        return bool(self.record["motion_doubted"] > 0.0)
+
+    @property
+    def restart(self) -> Any:
+        """Where the navigation begins again (``RESTART``) before this row; None: it goes on."""
+        return None if self.memory[_SWITCHED] == 0.0 else self.record["restart"]
+
+    @property
+    def doubts_wind(self) -> bool:
+        """True while an anemometer is at fault, or silent after it was used."""
+        return bool(self.memory[_WIND_REASON] > 0.0 or self.memory[_WIND_KNOWN] > 0.0) and (
+            self.memory[_WIND_STATUS] != OK
+        )
+
+    def check(
+        self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
+    ) -> tuple[Array, Array]:
+        """Take a row, and return what of it can be trusted.
+
+        Parameters
+        ----------
+        dt : float
+            Time since the row before, s.
+        z, cmd : ndarray, shapes (19,), (4,)
+            Measurements and commands.
+        state : ndarray, shape (6,)
+            What the predictor said of the boat after the row before.
+        ready : bool
+            Whether that means anything.
+
+        Returns
+        -------
+        z, cmd : ndarray, shapes (19,), (4,)
+            The row without impossible numbers and excluded sensors, which are NaN; and its
+            command, or the last one that was trusted.
+        """
+        state = np.ascontiguousarray(state)
+        _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
+        return self._out.copy(), self.trusted(cmd)
+
+    def trusted(self, cmd: Array) -> Array:
+        """Return the command (4,), or the last one that was trusted while it is in doubt."""
+        return self.record["drives"]["trusted"].copy() if self.commands_doubted else cmd
+
+    def statuses(self, begin: float) -> dict[str, SensorStatus]:
+        """Return the status of each sensor; ``begin`` is the time of the first row, s."""
+        return statuses_of(self.record, begin)
+
+    def wind_status(self, begin: float) -> SensorStatus:
+        """Return the status of the anemometer; ``begin`` is the time of the first row, s."""
+        wind = self.record["wind"]
+        reason, since = REASONS[int(wind["reason"])], begin + float(wind["since"])
+        status = STATUSES[int(wind["status"])]
+        if status == "absent" and wind["known"] > 0.0:
+            return SensorStatus(status, since, "wind is not measured any more; its mean is used")
+        return SensorStatus(status, since, f"wind {reason}" if reason else "")
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as one array, in the layout of ``INTEGRITY``."""
+        return {"memory": self.memory.copy()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned.
+
+        Raises
+        ------
+        StateError
+            Names what is missing or damaged.
+        """
+        check_fields(state, {"memory": self.memory}, {"memory": Field(nan=True)})
+        fill({"memory": self.memory}, state)

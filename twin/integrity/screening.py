@@ -1,0 +1,128 @@
+"""What a sensor cannot give: impossible numbers, leaps of accelerations, and exact repetition.
+
+These are no questions of probability: no boat gives the first, and noise never repeats to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.integrity.bank import VE, VN, G
+from usv_kernel.jit import inlined
+
+__all__ = ["PARTS", "find_frozen", "screen"]
+
+PARTS = np.array([[0, 2], [2, 4], [4, 5], [5, 6], [6, 8]])
+"""First channel of fix, velocity, compass, gyro and accelerometers, and that after the last."""
+
+FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
+
+REPEATS = np.array([3.0, 3.0, 6.0, 12.0, 12.0])
+"""After so many typical times between new samples one that repeats itself is frozen."""
+
+MASKED_S, MASKED_SAMPLES = 0.5, 2.5
+"""After an impossible number the sensor is left out for so long, or for so many samples."""
+
+LEAPS_MAX = 3.0
+"""Accelerations that leap in so many rows in a row are those of the boat after all."""
+
+MOVES = 0.1
+"""A boat moves above this share of its nominal speed."""
+
+TURNED_SD = 3.0
+"""Standard deviations by which a heading must have changed for a compass to show it."""
+
+REPEAT_USED_S = 1.0
+"""A sample that repeats the last one is used once in so long: a resting boat has no other."""
+
+RENEWAL_MAX_S = 5.0
+
+
+@inlined
+def screen(dt, z, memory, given):
+    """Leave out impossible numbers, and accelerations that leap for a row or two.
+
+    Impossible numbers of two sensors make a row garbage as a whole.
+    """
+    out, bad = memory.z, 0
+    for part in range(PARTS.shape[0]):
+        wrong = False
+        memory.masked[part] -= dt
+        for j in range(PARTS[part, 0], PARTS[part, 1]):
+            wrong = wrong or (not math.isnan(z[j]) and not abs(z[j]) < given.limits[j])
+        if wrong:
+            bad += 1 if part != VELOCITY else 0
+            most = max(MASKED_S, MASKED_SAMPLES * memory.renewal[part])
+            memory.masked[part] = most
+            if part <= VELOCITY:
+                memory.masked[FIX] = memory.masked[VELOCITY] = most
+    memory.garbage = 1.0 if bad > 1 else 0.0
+    for part in range(PARTS.shape[0]):
+        for j in range(PARTS[part, 0], PARTS[part, 1]):
+            out[j] = math.nan if memory.masked[part] > 0.0 or bad > 1 else z[j]
+    leap = False
+    for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
+        leap = leap or abs(out[j] - memory.last[j]) > given.leap
+    memory.leaps = memory.leaps + 1.0 if leap else 0.0
+    if leap and memory.leaps < LEAPS_MAX:
+        for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
+            out[j] = math.nan
+
+
+@inlined
+def _shows_motion(part, memory, given):
+    """Return whether a sensor would show something new, as the boat moved since it did."""
+    bank = memory.bank
+    one = bank.filters[int(bank.force_filter)]
+    speed = math.hypot(one.x[VN], one.x[VE])
+    if bank.begun == 0.0:
+        return False
+    if part == COMPASS:
+        return memory.turned > TURNED_SD * math.sqrt(given.bank.compass_var)
+    if part <= VELOCITY and speed * memory.unchanged[part] < math.sqrt(given.bank.fix_var):
+        return False
+    return speed > (MOVES if part <= VELOCITY else 2.0 * MOVES) * given.drives.speed
+
+
+@inlined
+def find_frozen(dt, memory, given):
+    """Leave out samples that repeat themselves; a sensor that does so while the boat moves is frozen.
+
+    A log may have more rows than a sensor has samples, and a coarse or resting one gives the same
+    number for long. So a repeated sample counts as none, but once in a while.
+    """
+    bank, z = memory.bank, memory.z
+    one = bank.filters[int(bank.force_filter)]
+    rate = abs(one.x[G]) if one.uses_gyro == 0.0 else abs(bank.epoch_rate - one.x[G])
+    if not math.isnan(rate):
+        memory.turned += dt * rate
+    for part in range(PARTS.shape[0]):
+        memory.unchanged[part] += dt
+        memory.unused[part] += dt
+        first, end = PARTS[part, 0], PARTS[part, 1]
+        if math.isnan(z[first]):
+            continue
+        same = True
+        for j in range(first, end):
+            same = same and z[j] == memory.last[j]
+        typical = max(memory.renewal[part], bank.row)
+        if same:
+            long = memory.unchanged[part] > (REPEATS[part] - 0.5) * typical
+            memory.frozen[part] = 1.0 if long and _shows_motion(part, memory, given) else 0.0
+            if part <= COMPASS and memory.unused[part] < max(REPEAT_USED_S, 2.0 * typical):
+                for j in range(first, end):
+                    z[j] = math.nan
+                continue
+        else:
+            passed = memory.unchanged[part]
+            if memory.frozen[part] == 0.0 and passed < RENEWAL_MAX_S:
+                share = 1.0 if memory.renewal[part] == 0.0 else 0.1
+                memory.renewal[part] += share * (passed - memory.renewal[part])
+            memory.unchanged[part] = memory.frozen[part] = 0.0
+            if part == COMPASS:
+                memory.turned = 0.0
+            for j in range(first, end):
+                memory.last[j] = z[j]
+        memory.unused[part] = 0.0
