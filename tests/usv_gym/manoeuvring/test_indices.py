@@ -12,10 +12,10 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from usv_gym.manoeuvring.track import Track, TrackError
 
 from usv_gym.manoeuvring import indices
 from usv_gym.manoeuvring.indices import Stopping, Turning, Zigzag, imo
-from usv_gym.manoeuvring.track import Track, TrackError
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"

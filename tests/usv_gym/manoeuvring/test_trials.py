@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from usv_gym.manoeuvring.track import Track
 
 from usv_gym import Vessel
 from usv_gym.manoeuvring import indices, trials
-from usv_gym.manoeuvring.track import Track
 from usv_gym.manoeuvring.trials import TrialError
 from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
 

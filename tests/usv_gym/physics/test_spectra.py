@@ -22,7 +22,7 @@ def test_pm_moment_and_peak_are_those_of_the_height_spectrum(hs: float) -> None:
     # consistency wants 4 alpha = .0324 exactly (docs/explanation/ship_and_sea.md);
     # the grid ends cost 1e-6
     assert spectra.moments(OMEGA, spectrum).hs == pytest.approx(hs, rel=1e-5)
-    # w_p sqrt(Hs/g) = .4012, to 1e-3: docs/explanation/validation.md, Sea and gusts
+    # w_p sqrt(Hs/g) = .4012, to 1e-3: a separate computation
     peak = OMEGA[np.argmax(spectrum)]
     assert peak * math.sqrt(hs / GRAVITY) == pytest.approx(0.4012, rel=1e-3)
     # steps of the grid are 2.3e-5
@@ -113,7 +113,7 @@ def test_moments_of_a_triangle_equal_theory() -> None:
 
 @pytest.mark.parametrize(("name", "sigma"), [("npd", 0.28), ("harris", 0.52), ("davenport", 0.53)])
 def test_gust_standard_deviations_equal_theory(name: str, sigma: float) -> None:
-    # separate computation, two figures; those at 10 m/s are on the validation page
+    # separate computation, two figures; tests/usv_gym/published has those at 10 m/s
     spectrum = spectra.GUST_SPECTRA[name](GUST_F, 4.5)
     assert math.sqrt(np.trapezoid(spectrum, GUST_F)) == pytest.approx(sigma, rel=0.02)
 

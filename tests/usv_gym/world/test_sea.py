@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.usv_gym.world.seas import realise, write
+from tests.usv_gym.world.seas import an_hour, peak_period, realise, write
 from usv_gym import SEA_STATES, SeaState, Vessel
 from usv_gym.physics import GRAVITY, waves, wind
 from usv_gym.physics import weather as wx
-from usv_gym.validation.study import an_hour, peak_period
 from usv_gym.world.realisation import Sea
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_gym.world.sea import DISCRETISATIONS, GUSTS, SeaKeyframe
@@ -154,7 +153,7 @@ def test_tables_have_the_height(name: str) -> None:
 
 
 def test_pm_by_wind_has_its_height_and_period() -> None:
-    # Hs g / U19.5^2 = .2092: docs/explanation/validation.md, Sea and gusts; U19.5 = 1.026 U10
+    # Hs g / U19.5^2 = .2092: tests/usv_gym/published; U19.5 = 1.026 U10
     state = SeaState.from_wind(4.5, gusts="none")
     assert state.hs == pytest.approx(0.2092 * (1.026 * 4.5) ** 2 / GRAVITY, rel=1e-3)
     assert state.hs == pytest.approx(0.455, abs=1e-3)
@@ -201,7 +200,7 @@ def test_no_gust_repeats_within_an_hour(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "sigma"), [("npd", 0.871), ("harris", 1.22), ("davenport", 1.20)])
 def test_realised_gusts_have_the_standard_deviation(name: str, sigma: float) -> None:
-    # sigma at 10 m/s: docs/explanation/validation.md, Sea and gusts. A random frequency in each
+    # sigma at 10 m/s: tests/usv_gym/published. A random frequency in each
     # of 32 bins: 2 % in the mean of 20, and three figures of the numbers
     seas = [realise(SeaState(wind=10.0, gusts=name), seed) for seed in range(20)]
     variance = np.mean([0.5 * np.sum(sea.gusts[2] ** 2) for sea in seas])
