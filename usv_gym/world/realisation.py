@@ -111,7 +111,7 @@ def gust_rows(kind: int, wind: float, rows: np.ndarray) -> None:
         width = _GUST_WIDTHS_HZ[i]
         f = _GUST_EDGES_HZ[i] + rows[0, i] * width
         rows[0, i], rows[1, i] = 2.0 * math.pi * f, 2.0 * math.pi * rows[1, i]
-        rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind, 10.0) * width)
+        rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind) * width)
 
 
 def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
