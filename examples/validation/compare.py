@@ -202,7 +202,7 @@ def axes_of(rows, columns, width, height):
 
 def draw_turns(path):
     """Turning circles of KVLCC2 with the measured advance, transfer and diameter."""
-    figure, ((one,),) = axes_of(1, 1, 7.0, 4.6)
+    figure, ((one,),) = axes_of(1, 1, 7.0, 2.8)
     for side, sign, colour in (("starboard", 1.0, "#0072B2"), ("port", -1.0, "#E69F00")):
         k = 0 if sign > 0 else 1
         track = trials.turning_circle(
