@@ -10,12 +10,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import (
-    FrameStackObservation,
-    NormalizeObservation,
-    RecordEpisodeStatistics,
-    TimeLimit,
-)
 
 from twin.particulars import Deck, Particulars
 from twin.sim.bridge import particulars_of
@@ -393,26 +387,6 @@ def test_batches_are_single_environments_with_decisions_of_several_steps(observa
             np.testing.assert_array_equal(a[4]["reward_terms"][name], values)
         ends += int(a[2].sum())
     assert ends
-
-
-@pytest.mark.parametrize("observation", ["raw", "twin"])
-def test_gymnasiums_wrappers_work(observation):
-    env = gym.make(
-        "USVTwin-v0", observation=observation, twin="ukf", frame_skip=10, max_episode_steps=5
-    )
-    wrapped = RecordEpisodeStatistics(
-        FrameStackObservation(NormalizeObservation(TimeLimit(env, 4)), 3)
-    )
-    obs, _ = wrapped.reset(seed=0)
-    assert obs.shape == (3, env.observation_space.shape[0])
-    for _ in range(4):
-        obs, *_, truncated, info = wrapped.step(np.array([0.5, 0.0], np.float32))
-    assert truncated and info["episode"]["l"] == 4
-    assert np.isfinite(obs).all()
-    sync = gym.make_vec("USVTwin-v0", 2, "sync", observation=observation, twin="ukf", frame_skip=10)
-    native = gym.make_vec("USVTwin-v0", 2, observation=observation, twin="ukf", frame_skip=10)
-    ours, theirs = native.reset(seed=1)[0], sync.reset(seed=1)[0]
-    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_processes_of_their_own_give_the_same_bits():

@@ -100,13 +100,6 @@ def test_without_an_anemometer_nothing_else_changes() -> None:
     assert np.isfinite(on[..., WIND_AT:]).any() and np.isnan(off[..., WIND_AT:]).all()
 
 
-def test_boats_of_a_batch_measure_what_they_measure_alone() -> None:
-    best = SensorSuite.grade("best")
-    faults = (Fault("wind", 5.0, 3.0, effect="spikes", chance=0.5),)
-    many = sailed(best, faults, n=3)
-    np.testing.assert_array_equal(many[:, :1], sailed(best, faults))
-
-
 def test_a_loss_of_the_wind_strikes_the_wind_alone() -> None:
     best = SensorSuite.grade("best")
     clean, z = sailed(best), sailed(best, (Fault("wind", 5.0, 3.0),))

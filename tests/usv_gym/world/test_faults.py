@@ -28,7 +28,7 @@ from usv_gym.world.faults import (
     parse_faults,
 )
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import GYRO, MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
+from usv_kernel.channels import GYRO
 
 
 def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -190,19 +190,6 @@ def test_all_faults_at_once_are_the_same_with_the_same_seed() -> None:
     assert not np.array_equal(np.isnan(one), np.isnan(other))
 
 
-def test_each_of_many_faulty_boats_is_a_boat_alone() -> None:
-    many = Simulation(2, BOAT, SeaState.named("2"), faults=QUICK)
-    for _ in range(2):  # a reset forgets bursts, windows and frozen samples
-        many.reset([0, 1], [np.random.default_rng(3), np.random.default_rng(4)])
-        z = [many.z.copy()]
-        for _ in range(400):
-            many.step(np.full((2, 4), [N, N, 0.2, 0.2]))
-            z.append(many.z.copy())
-        both = np.stack(z, axis=1)
-        for i, seed in enumerate((3, 4)):
-            np.testing.assert_array_equal(both[i, :, : len(LEVEL_BIT)], sailed(QUICK, seed, 400))
-
-
 @pytest.mark.parametrize("when", [Bursts, RandomFaults, Fault])
 @pytest.mark.parametrize("kind", ["gps", "compass", "imu"])
 def test_a_fault_leaves_the_other_sensors_as_they_were(kind: str, when: type[Disturbance]) -> None:
@@ -260,30 +247,6 @@ def test_parse_faults_reads_every_form() -> None:
         RandomFaults("accel_z", effect="reversed"),
         Fault("gyro_z", 1.0, 9.0),
     )
-
-
-def test_a_fault_of_one_axis_strikes_the_same_in_many_boats() -> None:
-    """Two boats at once see what each sees alone, and no other channel changes."""
-    faults = parse_faults("gyro_y-scaled3+accel_x-frozen4@2+accel_z-reversed-bursts", 1.0)
-    many = Simulation(2, BOAT, SeaState.named("2"), faults=faults, dof=6)
-    clean = Simulation(2, BOAT, SeaState.named("2"), dof=6)
-    singles = [Simulation(1, BOAT, SeaState.named("2"), faults=faults, dof=6) for _ in range(2)]
-    for sim in (many, clean):
-        sim.reset([0, 1], [np.random.default_rng(3), np.random.default_rng(4)])
-    for seed, single in enumerate(singles, start=3):
-        single.reset([0], [np.random.default_rng(seed)])
-    channels = (*SENSOR_CHANNELS, *MOTION_CHANNELS, *WIND_CHANNELS)
-    own = [channels.index(f"{n}_{u}") for n, u in (("gyro_y", "radps"), ("accel_x", "mps2"))]
-    own.append(channels.index("accel_z_mps2"))
-    differs = np.zeros(many.z.shape[1], dtype=bool)
-    for _ in range(600):
-        for sim in (many, clean, *singles):
-            sim.step(np.full((sim.n, 4), [N, N, 0.2, 0.2]))
-        for i, single in enumerate(singles):
-            np.testing.assert_array_equal(many.z[i], single.z[0])
-        both = np.isfinite(clean.z)
-        differs |= (both & (many.z != clean.z)).any(axis=0)
-    assert set(np.flatnonzero(differs)) == set(own)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import COMPASS, GPS, IMU
+from usv_gym.world.faults import ON
 from usv_gym.world.simulation import Simulation, SimulationError
 from usv_gym.world.start import FaultSets
 
@@ -36,11 +37,14 @@ def run(seed: int = 3, steps: int = STEPS, **kwargs: object) -> tuple[np.ndarray
     return np.array(states), np.array(z)
 
 
-def test_each_of_many_boats_is_a_boat_alone() -> None:
+@pytest.mark.parametrize(
+    "options", [{"faults": GPS_LOSS}, {"faults": ON, "suite": "best", "dof": 6}]
+)
+def test_each_of_many_boats_is_a_boat_alone(options: dict[str, object]) -> None:
     """Bit for bit: the physics is written once."""
-    many = Simulation(3, BOAT, SEA, faults=GPS_LOSS)
+    many = Simulation(3, BOAT, SEA, **options)  # type: ignore[arg-type]
     many.reset([0, 1, 2], [np.random.default_rng(seed) for seed in (7, 8, 9)])
-    alone = [Simulation(1, BOAT, SEA, faults=GPS_LOSS) for _ in range(3)]
+    alone = [Simulation(1, BOAT, SEA, **options) for _ in range(3)]  # type: ignore[arg-type]
     for sim, seed in zip(alone, (7, 8, 9), strict=True):
         sim.reset([0], [np.random.default_rng(seed)])
     for k in range(STEPS):
