@@ -1,4 +1,4 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train, view."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, train, view."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
-from twin.cli.interfaces.fmu import fmu_command
 from twin.cli.interfaces.link import link_command
 from twin.cli.interfaces.sitl import sitl_command
 from twin.cli.logs.check import log_check_command
@@ -25,7 +24,6 @@ from twin.cli.simulate import simulate_command
 from twin.cli.soak import soak_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
-from twin.cli.validate import validate_command
 from twin.cli.vessel import (
     vessel_check_command,
     vessel_hydro_command,
@@ -44,8 +42,8 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel. Simulate it, identify it from a log, "
-    "and predict where it will be. Benchmark predictors under GPS loss, and validate ship and "
-    "sea. Train and evaluate agents that steer, and view boat and twin in the browser.",
+    "and predict where it will be. Benchmark predictors under GPS loss. "
+    "Train and evaluate agents that steer, and view boat and twin in the browser.",
 )
 
 log_app = typer.Typer(
@@ -67,7 +65,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "predict": predict_command,
     "benchmark": benchmark_command,
     "paper": paper_command,
-    "validate": validate_command,
     "train": train_command,
     "evaluate": evaluate_command,
     "study": study_command,
@@ -77,7 +74,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "link": link_command,
     "bench": bench_command,
     "soak": soak_command,
-    "fmu": fmu_command,
 }
 """Commands by name, in the order of the help page."""
 
