@@ -1,6 +1,6 @@
 """The causality test of a predictor, also of a user's: no forecast may use a row after its origin.
 
-``usv-twin benchmark --check module:Class`` runs it. It says nothing about the accuracy of forecasts.
+``usv-twin benchmark --check module:Class`` runs it. The accuracy of forecasts is not its matter.
 """
 
 from __future__ import annotations

@@ -22,7 +22,6 @@ from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
 from twin.cli.paper import paper_command
 from twin.cli.simulate import simulate_command
-from twin.cli.soak import soak_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
 from twin.cli.validate import validate_command
@@ -76,7 +75,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sitl": sitl_command,
     "link": link_command,
     "bench": bench_command,
-    "soak": soak_command,
     "fmu": fmu_command,
 }
 """Commands by name, in the order of the help page."""

@@ -1,4 +1,4 @@
-"""The causality test finds predictors that use later rows; predictors of users are found by name."""
+"""The causality test finds predictors that use later rows; those of users go by module and name."""
 
 from __future__ import annotations
 
