@@ -20,7 +20,6 @@ from twin.cli.logs.judge import verdict_command
 from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
-from twin.cli.paper import paper_command
 from twin.cli.simulate import simulate_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
@@ -65,7 +64,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "judge": verdict_command,
     "predict": predict_command,
     "benchmark": benchmark_command,
-    "paper": paper_command,
     "validate": validate_command,
     "train": train_command,
     "evaluate": evaluate_command,
