@@ -23,7 +23,6 @@ from twin.cli.logs.replay import replay_command
 from twin.cli.paper import paper_command
 from twin.cli.simulate import simulate_command
 from twin.cli.soak import soak_command
-from twin.cli.study import study_command
 from twin.cli.train import train_command
 from twin.cli.validate import validate_command
 from twin.cli.vessel import (
@@ -70,7 +69,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "validate": validate_command,
     "train": train_command,
     "evaluate": evaluate_command,
-    "study": study_command,
     "view": view_command,
     "replay": replay_command,
     "sitl": sitl_command,
