@@ -7,12 +7,12 @@ import json
 import gymnasium as gym
 import numpy as np
 import pytest
+from twin.agents.forecast_table import forecast_rows, mean_scores
 
 from twin import Log, Particulars
 from twin.agents import evaluation
 from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.evaluation import evaluate, make_envs
-from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError
 from twin.parallel import BACKENDS, results_of
 

@@ -9,17 +9,15 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
-pytest.importorskip("tensorboard", reason="tensorboard is not installed")
 
 from tests.twin.cli.command import run as command
 from twin.agents import training
 from twin.agents.controllers import LOS, make_controller
-from twin.agents.corrected_boats import ResidualVecEnv, ScaledReward
-from twin.agents.evaluation import evaluate, make_envs
+from twin.agents.evaluation import evaluate, make_envs, trained_with
 from twin.agents.hyperparameters import check_hyperparameters, hyperparameters
 from twin.agents.policy import AgentError, Policy
+from twin.agents.residual import ResidualVecEnv, ScaledReward
 from twin.agents.training import Plan, train
-from twin.cli.evaluate import trained_with
 from usv_gym.envs.sb3 import SB3VecEnv
 
 TINY = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
@@ -67,7 +65,7 @@ def test_an_untrained_residual_sails_as_its_controller_does(tmp_path, algo, base
     net = found.model.policy.action_net
     net.weight.data.zero_()
     assert not net.bias.data.any()
-    policy = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    policy = found.policy({})
     found.envs.close()
     rows, expected = (
         evaluate(agent, seeds=(1, 2), faults="gps10@1", max_episode_steps=40)
@@ -81,7 +79,7 @@ def test_a_saved_residual_acts_as_in_its_training(tmp_path):
     found = learner(tmp_path, "ppo-residual")
     found.learn()
     path = tmp_path / "policy.npz"
-    training.policy_of(found.model, found.envs, found.plan, {}, found.residual).save(path)
+    found.policy({}).save(path)
     policy = Policy.load(path)
     assert (policy.base, policy.share, len(policy.mean)) == ("los-twin", 0.5, 16)
     assert policy.name == "ppo-residual-compact" and list(policy.names) == policy.observation
@@ -169,9 +167,9 @@ def test_rewards_are_scaled_and_bounded_below():
 
 def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path):
     found = learner(tmp_path, "ppo-residual", task="docking")
-    assert found.residual.base == "dock-twin"
+    assert found.base == "dock-twin"
     found.learn()
-    policy = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    policy = found.policy({})
     found.envs.close()
     assert evaluate(policy, seeds=(1,), task="docking", max_episode_steps=10)[0]["length_s"] > 0.0
 
@@ -288,7 +286,7 @@ def test_a_training_starts_from_saved_weights(tmp_path, algo):
     hyper = hyperparameters(algo) | small
     first = run(tmp_path / "first", algo, hyper).policy
     found = learner(tmp_path / "b", algo, hyper, init=str(tmp_path / "first" / "policy.npz"))
-    again = training.policy_of(found.model, found.envs, found.plan, {}, found.residual)
+    again = found.policy({})
     found.envs.close()
     assert same(first, again)
     assert run(tmp_path / "c", algo, hyper, init=str(tmp_path / "first")).curve[0][
@@ -303,7 +301,7 @@ def test_normalised_observations_go_over_into_a_net_without(tmp_path):
     init = str(tmp_path / "first")
     for hyper in (tiny(), normal):
         found = learner(tmp_path / "b", hyper=hyper, init=init)
-        again = training.policy_of(found.model, found.envs, found.plan, {})
+        again = found.policy({})
         found.envs.close()
         obs = np.random.default_rng(0).normal(size=(8, 14)).astype(np.float32)
         np.testing.assert_allclose(again.act(obs), first.act(obs), atol=2e-3)

@@ -26,7 +26,6 @@ from twin.particulars import DESIGNS, Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
-from usv_gym.vessel.vessel import course_eigenvalues
 
 EACH = pytest.mark.parametrize(
     ("model", "kind"), [(m, k) for m in MODELS for k in (*KINDS, TANKER, *DESIGNS)]

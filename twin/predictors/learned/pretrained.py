@@ -163,7 +163,7 @@ class Weights:
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
         """Read weights of a net; WeightsError says what is wrong, and how to make new ones."""
-        remedy = f"make a new one with examples/priors/fleet.py"
+        remedy = "make a new one with examples/priors/fleet.py"
         if not Path(path).exists():
             raise WeightsError(f"{path}: is missing; reinstall usv-twin, or {remedy}")
         arrays = read_archive(path, WeightsError, "file of weights of a net", remedy)

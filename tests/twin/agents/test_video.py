@@ -7,11 +7,11 @@ import subprocess
 
 import numpy as np
 import pytest
+from twin.agents.recording.video import check_video, record_video
 from typer.testing import CliRunner
 
 from twin.agents.controllers import make_controller
 from twin.agents.policy import AgentError
-from twin.agents.recording.video import check_video, record_video
 
 needs_video = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("pygame", "imageio_ffmpeg")),
