@@ -226,10 +226,10 @@ def scores_of(metric, done, name, where):
 def ended(study, name, seed, curve, level):
     """Return how a training went: its end, and when it first was at the level of the controller."""
     there = [row for row in curve if study.better * (row[study.metric] - level) >= 0.0]
-    last = {"decisions": curve[-1]["decisions"], "cpu_s": curve[-1]["cpu_s"]}
+    last = {"decisions": int(curve[-1]["decisions"]), "cpu_s": curve[-1]["cpu_s"]}
     row = {"agent": name, "seed": seed, **last, "end": curve[-1][study.metric]}
-    for key in ("decisions", "cpu_s"):
-        row[f"level_{key}"] = there[0][key] if there else None
+    row["level_decisions"] = int(there[0]["decisions"]) if there else None
+    row["level_cpu_s"] = there[0]["cpu_s"] if there else None
     return row
 
 

