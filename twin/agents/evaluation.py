@@ -28,7 +28,6 @@ from usv_kernel.files import import_named
 __all__ = [
     "EVALUATION_SEEDS",
     "FIRST_TRAINING_SEED",
-    "GRID",
     "OUTAGES",
     "SEAS",
     "agents_named",
@@ -43,9 +42,6 @@ __all__ = [
 SEAS = ("0", "2", "4")
 
 OUTAGES = ("none", "gps10", "gps30", "gps60")
-
-GRID = tuple(itertools.product(SEAS, OUTAGES))
-"""Sea states and losses of GPS of the study."""
 
 EVALUATION_SEEDS = tuple(range(900_000, 900_020))
 

@@ -271,8 +271,9 @@ class _Learner:
             gamma = options.get("gamma", 0.99)
             boats: Any = SB3VecEnv(made)
             if self.base:
+                base: Any = make_controller(self.base)
                 seen = len(made.observation_names) - len(self._added)
-                boats = ResidualVecEnv(boats, make_controller(self.base), self.share, seen)
+                boats = ResidualVecEnv(boats, base, self.share, seen)
             boats = ScaledReward(boats, **reward)
             self.envs = VecNormalize(boats, gamma=gamma, **normalize)
             kind = ALGORITHMS[plan.algo][2]
