@@ -59,14 +59,6 @@ def history(zigzag, boat) -> np.ndarray:
     return np.array(predictor._rows)
 
 
-def test_masks_tell_of_losses(zigzag, boat) -> None:
-    z = zigzag.z.copy()
-    z[400:500, :4] = np.nan  # GPS is lost from 20 to 25 s, compass and IMU are not
-    masks = history(dataclasses.replace(zigzag, z=z), boat)[:, 14:]
-    assert masks[99, 0] == pytest.approx(np.exp(-5.0 / 2.0), rel=0.2)
-    assert (masks[40:75] > 0.9).all() and (masks[99, 1:] > 0.9).all()
-
-
 def test_tokens_are_dimensionless(zigzag, boat) -> None:
     """A boat 4 times as long at twice the speed (Froude) has the same tokens, but for time."""
     rows = history(zigzag, boat)
