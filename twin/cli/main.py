@@ -1,4 +1,4 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark, train, view."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train, view."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
 from twin.cli.simulate import simulate_command
-from twin.cli.study import study_command
 from twin.cli.train import train_command
 from twin.cli.vessel import (
     vessel_check_command,
@@ -40,8 +39,8 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel. Simulate it, identify it from a log, "
-    "and predict where it will be. Benchmark predictors under GPS loss. "
-    "Train and evaluate agents that steer, and view boat and twin in the browser.",
+    "and predict where it will be. Benchmark predictors under GPS loss, and validate ship and "
+    "sea. Train and evaluate agents that steer, and view boat and twin in the browser.",
 )
 
 log_app = typer.Typer(
@@ -64,7 +63,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "benchmark": benchmark_command,
     "train": train_command,
     "evaluate": evaluate_command,
-    "study": study_command,
     "view": view_command,
     "replay": replay_command,
     "sitl": sitl_command,
