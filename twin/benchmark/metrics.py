@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.protocol import HORIZONS, TYPICAL, UNIT_KEY
+from twin.benchmark.protocol import HORIZONS, UNIT_KEY
 from twin.benchmark.scores import CHANNELS, STUDY_CHANNELS
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "rows_of",
     "run_rows",
     "summarise",
-    "trends",
 ]
 
 Array = NDArray[np.float64]
@@ -274,67 +272,6 @@ def channel_table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         for channel, metrics in parts[0].items()
         for j, horizon in enumerate(HORIZONS)
     ]
-
-
-def _gps_loss(row: dict[str, Any]) -> float | None:
-    """Return the length of a loss of GPS alone, s; None in other cases."""
-    lost = re.fullmatch(r"gps(\d+\.?\d*)", row["fault"])
-    return 0.0 if row["fault"] == "none" else float(lost[1]) if lost else None
-
-
-def _sea_state(row: dict[str, Any]) -> float | None:
-    """Return the number of a sea state without losses; None in other cases."""
-    return float(row["sea"]) if row["sea"].isdigit() and row["fault"] == "none" else None
-
-
-TRENDS: dict[str, Callable[[dict[str, Any]], float | None]] = {
-    "gps_loss_s": _gps_loss,
-    "sea_state": _sea_state,
-}
-"""Variables of the trends, each of simulated runs that differ in nothing else."""
-
-
-def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
-    """Return the error against the length of a GPS loss, and against the sea state.
-
-    Each value is the mean over boats of the mean over scenarios, with its 95 % bootstrap
-    interval over boats. A trend needs at least three values of its variable; that over losses is
-    in one sea state.
-    """
-    rows = []
-    for axis, value_of in TRENDS.items():
-        kept = [
-            (value, row)
-            for row in runs
-            if row["grade"] == TYPICAL and (axis == "sea_state" or row["sea"] == sea)
-            if (value := value_of(row)) is not None
-        ]
-        if len({pair[0] for pair in kept}) < 3:
-            continue
-        cells: dict[tuple[Any, ...], dict[int, list[dict[str, Any]]]] = {}
-        for value, row in kept:
-            cell = cells.setdefault((row["predictor"], row["plan"], value), {})
-            cell.setdefault(row["seed"], []).append(row)
-        for (predictor, plan, value), seeds in sorted(cells.items(), key=lambda item: item[0][2]):
-            for metric in ("displacement_10s", "psi_10s", "start_error"):
-                means = np.array(
-                    [np.mean([row[metric] for row in seeds[seed]]) for seed in sorted(seeds)]
-                )
-                low, high = interval_of(resampled(means), len(means))
-                rows.append(
-                    {
-                        "axis": axis,
-                        "at": value,
-                        "predictor": predictor,
-                        "plan": plan,
-                        "metric": metric,
-                        "value": float(means.mean()),
-                        "low": low,
-                        "high": high,
-                        "seeds": len(means),
-                    }
-                )
-    return rows
 
 
 def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:
