@@ -39,8 +39,8 @@ from twin.benchmark.motion_scores import (
     quiet_rows,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
-from twin.benchmark.publish.sources import predictor_digest, versions
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
+from twin.benchmark.sources import predictor_digest, versions
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows

@@ -20,9 +20,7 @@ from twin.cli.logs.judge import verdict_command
 from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
-from twin.cli.paper import paper_command
 from twin.cli.simulate import simulate_command
-from twin.cli.soak import soak_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
 from twin.cli.validate import validate_command
@@ -66,7 +64,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "judge": verdict_command,
     "predict": predict_command,
     "benchmark": benchmark_command,
-    "paper": paper_command,
     "validate": validate_command,
     "train": train_command,
     "evaluate": evaluate_command,
@@ -76,7 +73,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sitl": sitl_command,
     "link": link_command,
     "bench": bench_command,
-    "soak": soak_command,
     "fmu": fmu_command,
 }
 """Commands by name, in the order of the help page."""

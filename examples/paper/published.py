@@ -1,19 +1,6 @@
 """Numbers that Qu et al. 2025 print: Tables 2, 3 and 4, and what the text says of the figures."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = [
-    "FIGURES",
-    "ITERATIONS",
-    "PAPER_TABLE_2",
-    "PAPER_TABLE_3",
-    "PREDICTION_FIGURES",
-    "SETTLED_ITERATIONS",
-    "TABLES",
-    "TABLE_4",
-]
 
 # fmt: off
 PAPER_TABLE_2 = np.array([

@@ -10,7 +10,7 @@ import subprocess
 
 import pytest
 
-from twin.benchmark.publish.tables import CSV_COLUMNS, csv_text, latex_text
+from twin.benchmark.export import CSV_COLUMNS, csv_text, latex_text
 
 CELL = {"scenario": "turn", "case": "gps10", "fault": "gps10", "sea": "2", "grade": "typical"}
 
