@@ -27,9 +27,10 @@ from twin.benchmark.figures import (
 from twin.benchmark.figures.data import example_times, number_of, reference_of, run_label
 from twin.benchmark.figures.runs import SHOWN_AHEAD
 from twin.benchmark.figures.style import Styles, picture_bytes
+from twin.benchmark.metrics import METRICS
 from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of
-from twin.benchmark.verdict.tables import METRICS, best_text, grouped, interval, number
+from twin.benchmark.verdict.tables import best_text, grouped, interval, number
 from twin.parallel import results_of
 from twin.predictors.registry import DEFAULT
 from usv_kernel.files import write_whole
@@ -287,9 +288,8 @@ def _first_pictures(
     shown = []
     if verdict:
         caption = (
-            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. A bar that "
-            "reaches the end of its panel is cut; its number counts. oracle is the true ship in "
-            "the mean wind."
+            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. The table "
+            "has the numbers of bars that are cut. oracle is the true ship in the mean wind."
         )
         draw = partial(verdict_figure, verdict, pictures.styles)
         shown.append(pictures.add(draw, "verdict", caption))

@@ -29,8 +29,11 @@ __all__ = ["error_figure", "verdict_figure"]
 ERRORS = {"position_m": "position after 10 s (m)", "heading_deg": "heading after 10 s (deg)"}
 """Title of each panel of the bars."""
 
-LOSSES = {"none": ("without a loss", 0.95), "any": ("with a loss", 0.45), "all": ("all runs", 0.95)}
+LOSSES = {"none": ("without a loss", 0.95), "any": ("with a loss", 0.45)}
 """Label and opacity of the bars."""
+
+LONGEST_BAR = 1e6
+"""Longer bars cannot be drawn."""
 
 CHANNELS = {
     "along": ("position along (m)", 1.0),
@@ -46,28 +49,37 @@ Row = Mapping[str, Any]
 def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     """Draw the mean absolute errors with 95 % intervals over boats, the best predictor on top.
 
-    ``rows`` are those of ``results["verdict"]``. A bar that is longer than the panel, which shows
-    persistence in full, is cut; its number counts.
+    ``rows`` are those of ``results["verdict"]``. The panels show persistence in full, and cut what
+    is longer.
     """
     names = list(dict.fromkeys(row["predictor"] for row in rows))
-    there = {row["loss"] for row in rows}
-    losses = [loss for loss in ("none", "any") if loss in there] or ["all"]
+    of = {(row["predictor"], row["loss"]): row for row in rows}
+    losses = [loss for loss in LOSSES if any(row["loss"] == loss for row in rows)]
     entries = [(patch(BLACK, LOSSES[loss][1]), LOSSES[loss][0]) for loss in losses]
+    about, mosaic = "mean over scenarios and boats, 95 % intervals", [[panel] for panel in ERRORS]
     size = (WIDTH, 2.0 * (0.3 * len(names) + 0.7))
-    mosaic = [[panel] for panel in ERRORS]
-    about = "mean over scenarios and boats, 95 % intervals"
     fig, axes = new_figure("Errors after 10 s", about, entries, mosaic, size)
     for panel, title in ERRORS.items():
-        ax, limit = axes[panel], _limit(rows, panel)
+        ax = axes[panel]
         set_title(ax, title)
-        for row in rows:
-            if row["loss"] in losses:
-                high = 0.8 / len(losses)
-                place = names.index(row["predictor"]) + high * (losses.index(row["loss"]) + 0.5)
-                _draw_bar(ax, row, panel, place, 0.9 * high, limit, styles)
+        for j, loss in enumerate(losses):
+            value, low, high = (
+                np.array([number_of(of.get((name, loss), {}), f"{panel}{end}") for name in names])
+                for end in ("", "_low", "_high")
+            )
+            bars = ax.barh(
+                np.arange(len(names)) + (j + 0.5) / len(losses) * 0.8,
+                np.minimum(value, LONGEST_BAR),
+                xerr=np.maximum([value - low, high - value], 0.0),
+                height=0.72 / len(losses),
+                color=[styles[name][0] for name in names],
+                alpha=LOSSES[loss][1],
+                error_kw={"ecolor": BLACK, "lw": 1.0},
+            )
+            ax.bar_label(bars, [f"{v:#.3g}".rstrip(".") for v in value], padding=3, fontsize=9)
         ax.set_ylim(len(names), -0.2)
-        ax.set_xlim(0.0, limit)
-        ax.set_yticks([k + 0.4 for k in range(len(names))], names, parse_math=False)
+        ax.set_xlim(0.0, _limit(rows, panel))
+        ax.set_yticks(np.arange(len(names)) + 0.4, names, parse_math=False)
         ax.grid(False, axis="y")
     return fig
 
@@ -76,23 +88,7 @@ def _limit(rows: Sequence[Row], panel: str) -> float:
     """Return the end of the axis: persistence, or the largest error without it."""
     base = [row for row in rows if row["predictor"] == "persistence"]
     ends = [number_of(row, f"{panel}{end}") for row in base or rows for end in ("", "_high")]
-    return 1.2 * max([end for end in ends if math.isfinite(end) and end > 0.0], default=1.0)
-
-
-def _draw_bar(
-    ax: Axes, row: Row, panel: str, place: float, height: float, limit: float, styles: Styles
-) -> None:
-    """Draw one bar, with its interval and its number."""
-    value, low, high = (number_of(row, f"{panel}{end}") for end in ("", "_low", "_high"))
-    colour, alpha = styles[row["predictor"]][0], LOSSES[row["loss"]][1]
-    ax.barh([place], [min(value, limit)], height=height, color=colour, alpha=alpha)
-    end = value
-    if math.isfinite(low) and high < limit:
-        ax.plot([low, high], [place, place], color=BLACK, lw=1.0)
-        end = high
-    text = f" {value:#.3g}".rstrip(".")
-    side = "left" if end < 0.9 * limit else "right"
-    ax.text(min(end, limit), place, text, va="center", ha=side, fontsize=9, color=BLACK)
+    return 1.2 * max([end for end in ends if 0.0 < end < LONGEST_BAR], default=1.0)
 
 
 # errors against the horizon

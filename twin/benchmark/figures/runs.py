@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,8 +108,6 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
     shown = [name for name, figure in run.predictors.items() if figure.examples]
     entries += predictor_entries(shown, styles)
 
-    north, east = reference.path.T
-    box = limits_of([north], 1.0, 0.08), limits_of([east], 1.0, 0.08)
     rows: list[list[Any]] = [[0, 0]]
     rows += [[k, k + 1 if k < len(starts) else "."] for k in range(1, len(starts) + 1, 2)]
     size = (WIDTH, 3.2 + 2.3 * (len(rows) - 1))
@@ -127,10 +125,10 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
         near = reference.slice(start - 5.0, start + 10.0)
         _draw_track(ax, near, gps_fixes(log.slice(start - 5.0, start + 10.0)), log, run.lost)
         _draw_predictions(ax, run, start, styles, reference)
-        _set_box(ax, *_box_around(near.path, examples_at(run, start).values()))
+        _set_box(ax, *_box_around(near.path, 0.3))
         set_ticks(ax, 3, 4, "east (m)")
         set_title(ax, f"{number}: from t = {round(start, 1):g} s")
-    _set_box(axes[0], *box)
+    _set_box(axes[0], *_box_around(reference.path, 0.08))
     return fig
 
 
@@ -168,17 +166,9 @@ def _set_box(ax: Axes, north: Limits, east: Limits) -> None:
     ax.set_ylabel("north (m)", fontsize=10)
 
 
-def _box_around(path: Array, examples: Collection[Prediction]) -> tuple[Limits, Limits]:
-    """Return limits north and east around a path (n, 2), and predictions that are close to it."""
-    limits = []
-    margin = 0.3 * max(float(np.ptp(path, axis=0).max()), 1.0) if len(path) else 0.0
-    for column, true in enumerate(path.T):
-        parts = [true]
-        if len(true):
-            predicted = np.concatenate([true, *(p.mean[:, column] for p in examples)])
-            parts = [np.clip(predicted, true.min() - margin, true.max() + margin)]
-        limits.append(limits_of(parts, 1.0, 0.08))
-    return limits[0], limits[1]
+def _box_around(path: Array, margin: float) -> tuple[Limits, Limits]:
+    """Return limits north and east around a path (n, 2), with a margin as a share of its size."""
+    return limits_of([path[:, 0]], 1.0, margin), limits_of([path[:, 1]], 1.0, margin)
 
 
 # a forecast
@@ -308,7 +298,7 @@ def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
     fig, axes = new_figure("Run", log.name, entries, [[commands, motion]], (9.6, 6.2))
     set_title(axes["track"], "track, north up")
     _draw_track(axes["track"], reference, fixes, log, lost)
-    _set_box(axes["track"], *(limits_of([part], 1.0, 0.08) for part in reference.path.T))
+    _set_box(axes["track"], *_box_around(reference.path, 0.08))
     set_ticks(axes["track"], 6, 5, "east (m)")
 
     solid: dict[str, Any] = {"color": BLACK, "lw": 1.2, "zorder": 3}

@@ -8,39 +8,9 @@ from typing import Any
 
 from twin.benchmark.figures.data import number_of
 
-__all__ = ["METRICS", "best_text", "grouped", "interval", "number"]
+__all__ = ["best_text", "grouped", "interval", "number"]
 
 Row = Mapping[str, Any]
-
-METRICS = {
-    "mae": ("MAE", "mean absolute error over all channels and horizons, units mixed"),
-    "mae_median": ("median MAE", "median of the MAE over seeds"),
-    "mse": ("MSE", "mean squared error, pooled in the same way"),
-    "normalised": ("normalised error", "MAE over the size of the true change, mean of channels"),
-    "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
-    "J": (
-        "J",
-        "MAE over all runs over that of the oracle: mean of u, v, r, heading and displacement, "
-        "every half second up to 10 s",
-    ),
-    "E": ("E", "J - 1, the excess over the oracle"),
-    "E_runs": ("mean E of runs", "the same for each run by itself, mean over runs"),
-    "crps": (
-        "CRPS",
-        "score of the whole distribution, pooled as the MAE; without a spread it is the MAE",
-    ),
-    "start_error": (
-        "start error (m)",
-        "error of the estimated position at the time of the prediction",
-    ),
-    "displacement_10s": ("displacement (m)", "MAE of the displacement after 10 s"),
-    "psi_10s": ("heading (rad)", "MAE of the heading after 10 s"),
-    "coverage90": (
-        "90 % coverage",
-        "share of errors inside the 90 % prediction intervals; 0.9 is ideal",
-    ),
-}
-"""Heading and meaning of each metric, in the order of the table's columns."""
 
 
 def number(value: float | None) -> str:
