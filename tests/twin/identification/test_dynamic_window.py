@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.benchmark.paper.checks import henon, logistic
 from twin.identification.dynamic_window import (
     NOISE_FORMS,
     PERIOD_FORMS,
@@ -25,6 +24,22 @@ from twin.identification.lyapunov import rosenstein, rosenstein_length
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 
 DT = 0.05
+
+
+def logistic(n: int) -> np.ndarray:
+    """Return n values of the logistic map with a gain of 4."""
+    x = np.full(n, 0.4)
+    for i in range(1, n):
+        x[i] = 4.0 * x[i - 1] * (1.0 - x[i - 1])
+    return x
+
+
+def henon(n: int) -> np.ndarray:
+    """Return n values of Henon's map after a transient of a hundred."""
+    x = np.full(n + 100, 0.1)
+    for i in range(2, n + 100):
+        x[i] = 1.0 - 1.4 * x[i - 1] ** 2 + 0.3 * x[i - 2]
+    return x[100:]
 
 
 def slow_rosenstein(
@@ -207,6 +222,17 @@ def test_variable_part_is_capped() -> None:
     window = DynamicWindow(cap=4)
     window.update(0.0, hs=0.2)
     assert window.update(10.0, hs=0.4) == 19
+
+
+def test_window_without_a_cap_grows_to_any_bound() -> None:
+    """Eq 39 grows with the window that Eq 40 makes of it."""
+    lengths = []
+    for cap in (15, 45, 185):
+        window, rng = DynamicWindow(base=15, cap=cap, period="binary"), np.random.default_rng(1)
+        for k in range(2400):
+            window.update(DT * k, trace_P=9.0, hs=1.0, motion=float(rng.normal()))
+        lengths.append(window.W)
+    assert lengths == [30, 60, 200]
 
 
 def test_calm_rule_leaves_no_variable_part() -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.benchmark.paper.checks import twin_numbers
 from twin.cli.main import app
 from usv_gym.validation import sections
 from usv_gym.validation.page import FOLDER, PAGE, compare, failures, render, to_json
@@ -239,8 +238,7 @@ def test_a_section_is_within_tolerance(name: str, study: Study) -> None:
 @pytest.mark.slow
 def test_sections_are_within_tolerance_and_equal_the_page(page: str) -> None:
     """Rows of recorded data are checked by ``usv-twin validate --check``, where the data are."""
-    every = {**sections.SECTIONS, "twin": twin_numbers}
-    found = [section(Study(None)) for section in every.values()]
+    found = [section(Study(None)) for section in sections.SECTIONS.values()]
     assert failures(found) == []
     assert compare(page, found) == []
     assert {row.ok for section in found for row in section.rows if row.skipped} <= {None}
