@@ -235,6 +235,12 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
     }
 
 
+def _prediction_of(example: dict[str, Any]) -> Prediction:
+    """Return what :func:`_thin` has kept of a prediction."""
+    arrays: dict[str, Any] = {key: np.array(part) for key, part in example.items() if key != "t0"}
+    return Prediction(example["t0"], **arrays)
+
+
 def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
     """Write a log and its particulars, whole: another worker may do the same meanwhile."""
     log.write(path)
@@ -495,12 +501,7 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
             )
         deck = result.get("deck")
         shown[key].predictors[unit.predictor] = PredictorFigure(
-            examples=[
-                Prediction(
-                    example["t0"], **{k: np.array(v) for k, v in example.items() if k != "t0"}
-                )
-                for example in result["examples"]
-            ],
+            examples=[_prediction_of(example) for example in result["examples"]],
             deck=None if deck is None else DeckHistory(**{k: np.array(v) for k, v in deck.items()}),
         )
     return list(shown.values())

@@ -187,15 +187,20 @@ def picture_bytes(fig: Figure, kind: str) -> bytes:
     import matplotlib
 
     no_date = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    settings = {
-        "svg.fonttype": "none",  # text as text
-        "svg.hashsalt": "usv-twin",
-        "pdf.fonttype": 42,  # TrueType, as journals ask for
-        "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],  # the first two are as wide
-        "path.simplify_threshold": 0.5,
-    }
     buffer = io.BytesIO()
-    with matplotlib.rc_context(settings):
+    with matplotlib.rc_context(
+        {
+            "svg.fonttype": "none",  # text as text
+            "svg.hashsalt": "usv-twin",
+            "pdf.fonttype": 42,  # TrueType, as journals ask for
+            "font.sans-serif": [
+                "DejaVu Sans",
+                "Verdana",
+                "sans-serif",
+            ],  # the first two are as wide
+            "path.simplify_threshold": 0.5,
+        }
+    ):
         if (layout := fig.get_layout_engine()) is not None:
             # matplotlib would draw the whole picture once more to lay it out
             fig.set_layout_engine(None)
