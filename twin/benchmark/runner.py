@@ -64,7 +64,6 @@ from usv_kernel.files import write_whole
 __all__ = [
     "AGAINST",
     "collect",
-    "recorded_against",
     "run_figures",
     "run_unit",
     "runs",
@@ -397,11 +396,6 @@ def _portable(error: Exception) -> BenchmarkError:
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
 
-def recorded_against(settings: Settings) -> str:
-    """Return the reference of the comparison on recorded runs."""
-    return AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
-
-
 def collect(
     settings: Settings,
     done: dict[Unit, dict[str, Any]],
@@ -416,6 +410,7 @@ def collect(
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
     runs = run_rows(ordered)
+    on_recorded = AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
     return {
         "version": __version__,
         "program": {"sources": running_program(), **versions()},
@@ -445,7 +440,7 @@ def collect(
         "quiet": list(quiet_rows(ordered)),
         "summary": summarise(runs),
         "paired": compare(runs, against or AGAINST),
-        "recorded": recorded_table(ordered, against or recorded_against(settings)),
+        "recorded": recorded_table(ordered, against or on_recorded),
         "verdict": verdict_rows([row for row in runs if row["sea"]], settings),
         "losses": loss_rows(ordered),
         "channels": channel_table(ordered),
