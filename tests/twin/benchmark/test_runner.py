@@ -205,13 +205,8 @@ def test_a_log_is_replaced_with_its_result_and_has_its_particulars(tmp_path):
     assert particulars_for_log(path) == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    with pytest.raises(ParticularsError, match=r"no particulars .* --write .*alone.toml"):
+    with pytest.raises(ParticularsError, match="alone"):
         particulars_for_log(other)
-
-
-def test_two_runs_of_one_name_are_refused():
-    with pytest.raises(BenchmarkError, match="two runs are called 'run'"):
-        dataclasses.replace(SMALL, logs=("a/run.csv", "b/run.csv.gz"))
 
 
 def test_a_calm_straight_run_has_no_absurd_normalised_error(tmp_path):
@@ -244,7 +239,7 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     assert value["ukf", "gps20", "start_error"] > 1.2 * value["ukf", "none", "start_error"]
 
 
-def test_j_of_the_oracle_is_one(small):
+def test_j_is_the_mean_of_the_ratios_to_the_oracle(small):
     _, results = small
     value = {
         (i["predictor"], i["fault"], i["plan"], i["metric"]): i["value"] for i in results["summary"]
@@ -257,10 +252,6 @@ def test_j_of_the_oracle_is_one(small):
             j = value[name, fault, "known", "J"]
             assert value[name, fault, "known", "E"] == pytest.approx(j - 1.0)
             assert j > 1.0
-
-
-def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
-    _, results = small
     table = {
         tuple(row[key] for key in ("fault", "seed", "predictor", "plan")): row
         for row in results["runs"]
@@ -306,14 +297,15 @@ def test_faults_remove_signals_of_a_recorded_log():
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
-        ({"scenarios": ("loop",)}, ManoeuvreError, "no scenario is called 'loop'; known"),
-        ({"predictors": ("magic",)}, PredictorError, "no predictor is called 'magic'"),
+        ({"scenarios": ("loop",)}, ManoeuvreError, "loop"),
+        ({"predictors": ("magic",)}, PredictorError, "magic"),
         ({"faults": ("gps",)}, FaultError, "gps10"),
         ({"faults": ("sonar10",)}, FaultError, "sonar"),
         ({"plans": ("guess",)}, PredictorError, "hold, known"),
         ({"spread": 0.8}, BenchmarkError, "spread = 0.8"),
         ({"hs": -1.0}, SeaError, "hs = -1.0"),
         ({"duration_s": 35.0}, BenchmarkError, "duration_s"),
+        ({"logs": ("a/run.csv", "b/run.csv.gz")}, BenchmarkError, "'run'"),
     ],
 )
 def test_bad_settings_die_early(change, kind, message):
