@@ -110,7 +110,7 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
 
     rows: list[list[Any]] = [[0, 0]]
     rows += [[k, k + 1 if k < len(starts) else "."] for k in range(1, len(starts) + 1, 2)]
-    size = (WIDTH, 3.2 + 2.3 * (len(rows) - 1))
+    size = (WIDTH, 3.6 + 2.3 * (len(rows) - 1))
     fig, axes = new_figure("Track", run_label(run), entries, rows, size)
     _draw_track(axes[0], reference, fixes, log, run.lost)
     set_ticks(axes[0], 6, 6, "east (m)")
@@ -119,13 +119,14 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
         _draw_predictions(axes[0], run, start, styles, reference)
         x, y = reference.position(start)
         if np.isfinite([x, y]).all():
-            mark = axes[0].annotate(str(number), (y, x), (6, 6), textcoords="offset points")
+            place: dict[str, Any] = {"xytext": (8, 4), "textcoords": "offset points"}
+            mark = axes[0].annotate(str(number), (y, x), weight="bold", **place)
             mark.set_in_layout(False)
         ax = axes[number]
-        near = reference.slice(start - 5.0, start + 10.0)
-        _draw_track(ax, near, gps_fixes(log.slice(start - 5.0, start + 10.0)), log, run.lost)
+        near = reference.slice(start - 2.0, start + 10.0)
+        _draw_track(ax, near, gps_fixes(log.slice(start - 2.0, start + 10.0)), log, run.lost)
         _draw_predictions(ax, run, start, styles, reference)
-        _set_box(ax, *_box_around(near.path, 0.3))
+        _set_box(ax, *_box_around(near.path, 0.15))
         set_ticks(ax, 3, 4, "east (m)")
         set_title(ax, f"{number}: from t = {round(start, 1):g} s")
     _set_box(axes[0], *_box_around(reference.path, 0.08))
