@@ -353,7 +353,7 @@ class Particulars:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
                 f"{', '.join(DESIGNS)}, leave it out, or give the twin a prior of your own "
-                "(twin.training.prior_population.sample_from_class)"
+                "(docs/how-to/own_prior.md, examples/priors)"
             )
         if self.design and (self.steering != "drives" or self.tanker):
             raise ParticularsError(

@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.progress import TimeRemainingColumn
@@ -40,7 +40,6 @@ from twin.cli.common import (
     WindOption,
     console,
     errors,
-    new_table,
     note,
     parse_list,
     parse_predictors,
@@ -61,9 +60,6 @@ from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP
 from usv_kernel.files import write_whole
 
-if TYPE_CHECKING:
-    from twin.benchmark.conformance import Finding
-
 
 def benchmark_command(
     full: Annotated[
@@ -78,22 +74,10 @@ def benchmark_command(
     check: Annotated[
         str | None,
         typer.Option(
-            help="Only check that a predictor (a name, or module:Class) keeps the contract of "
-            "all predictors. Exit code 1: it does not."
+            help="Only check that no forecast of a predictor (a name, or module:Class) uses rows "
+            "after its origin, and that all are finite. Exit code 1: it fails."
         ),
     ] = None,
-    submit_check: Annotated[
-        Path | None,
-        typer.Option(
-            help="Only verify a folder of results: program, predictors, settings, tables, and a "
-            "sample computed again. --log names recorded runs that it scores. Exit code 1: it "
-            "does not hold."
-        ),
-    ] = None,
-    sample: Annotated[
-        int,
-        typer.Option(help="With --submit-check: results computed again of each predictor.", min=0),
-    ] = 1,
     faults_matrix: Annotated[
         bool,
         typer.Option(
@@ -217,9 +201,6 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
-    if submit_check is not None:
-        _submit_check(submit_check, log or [], sample)
-        return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
         sea = sea_settings(hs, wind, wind_from)
@@ -317,7 +298,7 @@ def benchmark_command(
 
 def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
     """Write the tables for a paper, as far as they are asked for."""
-    from twin.benchmark.publish.tables import csv_text, latex_text
+    from twin.benchmark.export import csv_text, latex_text
 
     for path, text_of in ((latex, latex_text), (csv, csv_text)):
         if path is not None:
@@ -360,48 +341,18 @@ def match_files(given: Path) -> list[str]:
 
 
 def _check(name: str) -> None:
-    """Print whether a predictor keeps the contract; exit code 1 if it does not."""
-    from twin.benchmark.conformance import check
+    """Print whether a predictor's forecasts use no later rows; exit code 1 if they do."""
+    from twin.benchmark.conformance import ContractError, check_predictor
 
-    with status("checking"):
-        found = check(name)
-    _print_findings(f"contract of {name}", found)
-
-
-def _submit_check(folder: Path, logs: list[Path], sample: int) -> None:
-    """Print whether a folder of results holds; exit code 1 if it does not."""
-    from twin.benchmark.publish.submission import check_submission
-
-    files = [file for given in logs for file in match_files(given)]
-    with progress_bar(transient=True, console=errors) as progress:
-        bar = progress.add_task("checking", total=None)
-        found = list(
-            check_submission(
-                folder,
-                logs=files,
-                sample=sample,
-                started=lambda text: progress.update(bar, advance=1, description=text),
-            )
-        )
-    _print_findings(f"results in {folder}", found)
-
-
-def _print_findings(title: str, found: Sequence[Finding]) -> None:
-    """Print findings, and the lines of code that failed; exit code 1 if one has failed."""
-    heads = ("", "check", "result")
-    table = new_table(title, *heads, left=heads)
-    table.columns[-1].no_wrap = False
-    marks = {True: "pass", False: "FAIL", None: "skip"}
-    for item in found:
-        table.add_row(marks[item.passed], item.name, item.text)
-    console.print(table)
-    for item in found:
-        if item.place:  # in one piece, for editors that open it
-            errors.print(f"{item.name}: {item.place}", style="red", soft_wrap=True)
-    broken = sum(item.passed is False for item in found)
-    console.print(f"{len(found)} checks, {broken} failed")
-    if broken:
-        raise typer.Exit(1)
+    try:
+        with status("checking"):
+            count = check_predictor(name)
+    except ContractError as error:
+        errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+        raise typer.Exit(1) from None
+    console.print(
+        f"{name}: {count} forecasts are finite, and use no row after their origin", highlight=False
+    )
 
 
 def _matrix(

@@ -11,7 +11,6 @@ from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
-from twin.cli.interfaces.fmu import fmu_command
 from twin.cli.interfaces.link import link_command
 from twin.cli.interfaces.sitl import sitl_command
 from twin.cli.logs.check import log_check_command
@@ -20,12 +19,8 @@ from twin.cli.logs.judge import verdict_command
 from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
-from twin.cli.paper import paper_command
 from twin.cli.simulate import simulate_command
-from twin.cli.soak import soak_command
-from twin.cli.study import study_command
 from twin.cli.train import train_command
-from twin.cli.validate import validate_command
 from twin.cli.vessel import (
     vessel_check_command,
     vessel_hydro_command,
@@ -66,18 +61,13 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "judge": verdict_command,
     "predict": predict_command,
     "benchmark": benchmark_command,
-    "paper": paper_command,
-    "validate": validate_command,
     "train": train_command,
     "evaluate": evaluate_command,
-    "study": study_command,
     "view": view_command,
     "replay": replay_command,
     "sitl": sitl_command,
     "link": link_command,
     "bench": bench_command,
-    "soak": soak_command,
-    "fmu": fmu_command,
 }
 """Commands by name, in the order of the help page."""
 

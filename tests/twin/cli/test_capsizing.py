@@ -22,7 +22,6 @@ SAID = warning_of(TENDER, SeaState.named("4"), 6)
 COMMANDS = {
     "simulate": ["simulate", "straight", "--duration", "1"],
     "view": ["view", "-p", "persistence"],
-    "fmu": ["fmu", "kvlcc2_l7", "--out", "a.fmu", "--force"],
     "sitl": ["sitl", "kvlcc2_l7"],
 }
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.benchmark.paper.checks import henon, logistic
 from twin.identification.dynamic_window import (
     NOISE_FORMS,
     PERIOD_FORMS,
@@ -25,6 +24,23 @@ from twin.identification.lyapunov import rosenstein, rosenstein_length
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 
 DT = 0.05
+
+
+def logistic(n: int, start: float = 0.4) -> np.ndarray:
+    """Return n values of the logistic map with a gain of 4."""
+    x = np.empty(n)
+    x[0] = start
+    for i in range(1, n):
+        x[i] = 4.0 * x[i - 1] * (1.0 - x[i - 1])
+    return x
+
+
+def henon(n: int) -> np.ndarray:
+    """Return n values of Henon's map after a transient of a hundred."""
+    x = np.full(n + 100, 0.1)
+    for i in range(2, n + 100):
+        x[i] = 1.0 - 1.4 * x[i - 1] ** 2 + 0.3 * x[i - 2]
+    return x[100:]
 
 
 def slow_rosenstein(

@@ -17,7 +17,7 @@ def test_shipped_vessels_have_no_error(name: str) -> None:
 
 
 def test_telemetron_reaches_its_published_speed() -> None:
-    # 13.1 kN make 9.667 m/s (docs/explanation/validation.md, Small boats)
+    # 13.1 kN make 9.667 m/s (tests/usv_gym/published/test_small_boats.py)
     boat = Vessel.load("telemetron")
     top = inspect(boat).speeds[-1]
     assert top["thrust_N"] == pytest.approx(13100.0, rel=1e-5)

@@ -1,5 +1,4 @@
-"""The commands that join ship and twin to other programs: ``sitl``, ``link`` and ``fmu``.
+"""The commands that join ship and twin to other programs: ``sitl`` and ``link``.
 
-What they do is in ``usv_gym.sitl``, ``twin.live.external`` and ``usv_gym.cosimulation``; here are
-options and print.
+What they do is in ``usv_gym.sitl`` and ``twin.live.external``; here are options and print.
 """
