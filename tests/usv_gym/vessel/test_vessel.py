@@ -30,8 +30,8 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.vessel import vessel as vessel_module
 from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, UNITS
-from usv_gym.vessel.variation import LAW, BoatClass
-from usv_gym.vessel.vessel import VesselError, course_eigenvalues
+from usv_gym.vessel.variation import LAW
+from usv_gym.vessel.vessel import BoatClass, VesselError, course_eigenvalues
 from usv_gym.world.simulation import Simulation
 
 FOLDER = Path(usv_gym.__file__).parent / "vessel" / "vessels"
