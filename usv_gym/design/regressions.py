@@ -1,4 +1,4 @@
-"""Regressions on main particulars: hull forces, added masses, hydrostatics, periods.
+"""Regressions on main particulars: hull forces, added masses, hydrostatics.
 
 Each function takes a :class:`Form` and returns an :class:`Estimate`: numbers, source, and a note
 for each particular outside the data of the regression. Primed coefficients are dimensionless as in
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usv_gym.physics import GRAVITY
+from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
     "Estimate",
@@ -26,7 +26,6 @@ __all__ = [
     "hydrostatics",
     "kijima",
     "kijima_rudder",
-    "periods",
     "pitch_damping",
     "soding",
     "yoshimura",
@@ -63,6 +62,22 @@ class Form:
     x_G: float = 0.0  # centre of gravity forward of midship, m
     hulls: int = 1  # 2 of a catamaran
     spacing: float = 0.0  # between the centre lines of two hulls, m
+
+    @classmethod
+    def of(cls, vessel: Vessel) -> Form:
+        """Return those of a vessel."""
+        v = vessel.values
+        hulls, beam = (2, v["hull_beam"]) if "hull_beam" in v else (1, v["beam"])
+        return cls(
+            length=v["length_waterline"],
+            beam=beam,
+            draft=v["draft"],
+            block_coefficient=v["block_coefficient"] * (v["beam"] / (hulls * beam)),
+            water_density=v["water_density"],
+            x_G=v["x_G"],
+            hulls=hulls,
+            spacing=v.get("spacing", 0.0),
+        )
 
     @property
     def volume(self) -> float:
@@ -267,20 +282,6 @@ def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
         "J_yy": m_z * (0.25 * form.length) ** 2,
     }
     return _estimate("strip theory", form, values, {})
-
-
-def periods(form: Form, GM_T: float) -> Estimate:
-    """Return the natural periods of heave, pitch and roll in s; GM_T in m.
-
-    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``. Roll after the weather
-    criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else ``0.373 + 0.023 B / d -
-    0.043 L / 100``.
-    """
-    B, d = form.beam, form.draft
-    heave = 2.0 * math.pi * math.sqrt(2.0 * d / GRAVITY)
-    share = 0.4 if form.length < 45.0 else 0.373 + 0.023 * B / d - 0.043 * form.length / 100.0
-    values = {"heave": heave, "pitch": heave, "roll": 2.0 * share * B / math.sqrt(GM_T)}
-    return _estimate("Jensen 2004 and IMO", form, values, {"B/d": (1.5, 6.0)})
 
 
 def pitch_damping(form: Form) -> Estimate:
