@@ -132,12 +132,11 @@ def _estimate(
 
 
 def kijima(form: Form, m_x_prime: float) -> Estimate:
-    """Return hull coefficients after Kijima and Inoue, with their cross terms.
+    """Return the linear hull coefficients after Kijima and Inoue.
 
     ``m_x_prime`` is the added mass in surge of all hulls over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
-    drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
-    :func:`cross_flow` replaces them.
+    drift. :func:`cross_flow` replaces the other terms.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c = 2.0 * d / L, C_b * B / L
@@ -146,10 +145,6 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
         "Y_r": math.pi / 4.0 * k + m_x_prime / form.hulls,
         "N_v": -k,
         "N_r": -0.54 * k + k * k,
-        "Y_vrr": -5.95 * d * (1.0 - C_b) / B,
-        "Y_vvr": 1.5 * d * C_b / B - 0.65,
-        "N_vrr": 0.5 * d * C_b / B - 0.05,
-        "N_vvr": -(57.5 * c * c - 18.4 * c + 1.6),
     }
     values = {key: form.hulls * value for key, value in values.items()}
     return _estimate("Kijima 1990", form, values, MERCHANT, *_damped("Kijima 1990", values))
@@ -205,7 +200,7 @@ def soding(form: Form) -> Estimate:
 
 
 def zhou(form: Form) -> Estimate:
-    """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
+    """Return the added mass in sway (kg) and the added inertia in yaw (kg m2).
 
     Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran that
     is deeper than half its beam lies outside them. It is taken at B/d = 2; from there on, sway and
@@ -215,13 +210,6 @@ def zhou(form: Form) -> Estimate:
     deep = max(2.0 * d / B, 1.0) if form.hulls > 1 else 1.0
     d = d / deep
     a, b, e = L / B, d / B, d * L / (B * B)
-    surge = 0.01 * (
-        0.398
-        + 11.97 * C_b * (1.0 + 3.73 * b)
-        - 2.89 * C_b * a * (1.0 + 1.13 * b)
-        + 0.175 * C_b * a * a * (1.0 + 0.541 * b)
-        - 1.107 * a * b
-    )
     sway = (
         0.882
         - 0.54 * C_b * (1.0 - 1.6 * b)
@@ -233,17 +221,13 @@ def zhou(form: Form) -> Estimate:
         L / 100.0 * (33.0 - 76.85 * C_b * (1.0 - 0.784 * C_b) + 3.43 * a * (1.0 - 0.63 * C_b))
     )
     values = {
-        "m_x": surge * form.mass,
         "m_y": deep * sway * form.mass,
         "J_zz": deep * form.mass * gyradius * gyradius,
     }
-    negative = [
-        f"Zhou 1983: {key} is {values[key]:.3g} kg, and must be above 0"
-        for key in ("m_x", "m_y")
-        if values[key] <= 0.0
-    ]
+    negative = f"Zhou 1983: m_y is {values['m_y']:.3g} kg, and must be above 0"
     bounds = {"L/B": (4.0, 10.0), "B/d": (2.0, 5.0), "C_b": (0.5, 0.85)}
-    return _estimate("Zhou 1983", form, values, bounds, *negative)
+    more = () if values["m_y"] > 0.0 else (negative,)
+    return _estimate("Zhou 1983", form, values, bounds, *more)
 
 
 def hydrostatics(form: Form, water_plane: float) -> Estimate:

@@ -461,7 +461,9 @@ class BoatClass:
                 for key in vessel.values
             ]
         )
-        self._fields = {item.name: getattr(vessel, item.name) for item in dataclasses.fields(vessel)}
+        self._fields = {
+            item.name: getattr(vessel, item.name) for item in dataclasses.fields(vessel)
+        }
         self._resistance = np.array([vessel.resistance_speed, vessel.resistance_force])
 
     def draw(self, rng: np.random.Generator, load: float = 1.0) -> DrawnBoat:
