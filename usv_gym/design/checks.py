@@ -74,9 +74,9 @@ def inspect(vessel: Vessel) -> Inspection:
     """Return derived particulars of a vessel, and what is wrong or unusual."""
     facts, findings = _proportions(vessel), []
     try:
+        facts |= _speeds(vessel) | _course(vessel) | _turn(vessel, facts)
         for dof in (3, 6):
             check_motion(vessel, dof, DT_S)
-        facts |= _speeds(vessel) | _course(vessel) | _turn(vessel, facts)
     except VesselError as error:
         findings.append(Finding(True, str(error)))
     rules = (_unusual, _wrong, _wrong_turn)
