@@ -9,7 +9,6 @@ from pathlib import Path
 
 import capytaine as cpt
 import numpy as np
-import trimesh
 
 from usv_gym import Vessel
 from usv_gym.hydro.motions import response
@@ -38,10 +37,19 @@ def wetted_panels(vessel: Vessel) -> np.ndarray:
     else the waves would push the boat beside its mass.
     """
     hull = hull_of(vessel)
-    points, faces = trimesh.intersections.slice_faces_plane(
-        hull.vertices * (1.0, -1.0, -1.0), hull.faces, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
-    )[:2]
-    corners = points[faces]
+    corners = (hull.vertices * (1.0, -1.0, -1.0))[hull.faces]
+    below = corners[:, :, 2] < 0.0
+    count = below.sum(axis=1)
+    pieces = [corners[count == 3]]
+    for wet in (1, 2):
+        # turned so that the one corner on its own side comes first
+        cut, side = corners[count == wet], below[count == wet]
+        order = (np.argmax(side == (wet == 1), axis=1)[:, None] + np.arange(3)) % 3
+        p, q, r = np.moveaxis(np.take_along_axis(cut, order[:, :, None], axis=1), 1, 0)
+        pq, pr = (p + (p[:, 2:] / (p - to)[:, 2:]) * (to - p) for to in (q, r))
+        pairs = [(p, pq, pr)] if wet == 1 else [(pq, q, r), (pq, r, pr)]
+        pieces += [np.stack(three, axis=1) for three in pairs]
+    corners = np.concatenate(pieces)
     return corners + np.array([vessel.values["x_G"] - hydrostatics(corners)["x_B"], 0.0, 0.0])
 
 
@@ -77,8 +85,11 @@ def floating_body(vessel: Vessel, corners: np.ndarray, plane: float) -> cpt.Floa
     corners = corners[port] if half else corners
     if len(corners) > PANELS_MAX:
         raise SystemExit(f"{vessel.name}: {len(corners)} wetted panels; make the mesh coarser")
-    solid = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
-    mesh = cpt.Mesh(solid.vertices, solid.faces)
+    grain = 1e-7 * np.ptp(corners)
+    points, where = np.unique(np.round(corners.reshape(-1, 3) / grain), axis=0, return_inverse=True)
+    faces = where.reshape(-1, 3)
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    mesh = cpt.Mesh(points * grain, faces)
     if half:
         mesh = cpt.ReflectionSymmetricMesh(mesh, plane="xOz")
     dofs = cpt.rigid_body_dofs(rotation_center=(0.0, 0.0, 0.0))

@@ -15,7 +15,6 @@ SCRIPT = Path(__file__).resolve().parents[3] / "examples/hydrodynamics/make_tabl
 @pytest.mark.parametrize("name", ["usv75", "telemetron", "otter", "wamv16"])
 def test_shipped_tables_are_what_the_script_makes(name):
     pytest.importorskip("capytaine")
-    pytest.importorskip("trimesh")
     vessel = Vessel.load(name)
     again = runpy.run_path(str(SCRIPT))["make_table"](vessel)
     for key in ("added_mass", "damping", "excitation", "drift"):
