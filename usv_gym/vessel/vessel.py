@@ -34,12 +34,12 @@ from usv_gym.vessel.schema import (
     check_values,
 )
 from usv_gym.vessel.variation import (
+    FACTORS,
     FIXED,
     NO_SPEED,
     SHAFT_SPEEDS,
     SIDES_AT,
     TRIES,
-    Factors,
     draw,
     law_of,
 )
@@ -490,12 +490,12 @@ class BoatClass:
         """Return the vessel of drawn factors and flat parameters, which need no other check."""
         if (factors == 1.0).all():
             return self.vessel
-        of = Factors(*factors)
+        force, speed = (factors[FACTORS.index(f"resistance_{of}")] for of in ("force", "speed"))
         values = (factors[self._places] * self._nominal).tolist()
         changed: dict[str, Any] = {
             "values": MappingProxyType(dict(zip(self.vessel.values, values, strict=True))),
-            "resistance_speed": tuple((of.resistance_speed * self._resistance[0]).tolist()),
-            "resistance_force": tuple((of.resistance_force * self._resistance[1]).tolist()),
+            "resistance_speed": tuple((speed * self._resistance[0]).tolist()),
+            "resistance_force": tuple((force * self._resistance[1]).tolist()),
             "side_thrust": tuple(flat[SIDES_AT].tolist()),
             "packed": flat.copy().view(par.PARAMETERS)[0],
         }
