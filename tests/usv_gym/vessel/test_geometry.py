@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import pickle
 import sys
 from pathlib import Path
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 
 import usv_gym
 from usv_gym import Vessel, vessel_names
-from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
@@ -124,19 +122,6 @@ def test_drives_and_rudders_have_the_positions_of_the_vessel(vessel: Vessel) -> 
             assert drive.position[0] < boat["hull"].mesh.bounds[0, 0] + 0.1 * v["length_overall"]
 
 
-def test_a_drive_turns_by_minus_its_angle() -> None:
-    # thrust follows the axis of the propeller
-    vessel = Vessel.load("usv75")
-    angle, state = 0.3, np.zeros(16)
-    state[12:] = [20.0, 20.0, angle, angle]
-    X, Y, _ = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())
-    turned = np.array([math.cos(-angle), math.sin(-angle)])
-    state[14:] = 0.0
-    straight = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())[0]
-    assert np.sign(Y) == np.sign(turned[1])
-    assert 0.8 < X / (straight * turned[0]) < 1.2
-
-
 @st.composite
 def forms(draw: st.DrawFn) -> Form:
     """Draw a form of any shape and size."""
@@ -173,13 +158,6 @@ def test_any_boat_can_be_drawn(form: Form) -> None:
     assert hull.bounds[1, 2] == pytest.approx(form.draft)
     for part in boat_of(form).parts:
         check_solid(part.mesh)
-
-
-def test_varied_boats_can_be_drawn(vessel: Vessel) -> None:
-    boat = vessel.varied(np.random.default_rng(3), 0.3)
-    hull, v = boat_of(boat)["hull"].mesh, boat.values
-    volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
-    assert submerged(hull) == pytest.approx(volume, rel=0.02)
 
 
 def with_mesh(folder: Path, mesh: str) -> Path:

@@ -49,13 +49,6 @@ def boat(request: pytest.FixtureRequest) -> Vessel:
     return Vessel.load(request.param)
 
 
-def test_a_vessel_is_loaded_by_name_and_by_path(boat: Vessel) -> None:
-    again = Vessel.load(FOLDER / f"{boat.name}.toml")
-    assert dict(again.values) == dict(boat.values)
-    assert again.title
-    assert Vessel.load(boat) is boat
-
-
 def test_packed_holds_every_number_of_the_vessel(boat: Vessel) -> None:
     packed = boat.packed
     assert packed.dtype == par.PARAMETERS
@@ -480,13 +473,6 @@ def test_resistance_curve_is_converted_to_si(tmp_path: Path) -> None:
     boat = Vessel.load(path)
     np.testing.assert_allclose(boat.resistance_speed, [0, 18520 / 3600, 18.52], rtol=1e-15)
     np.testing.assert_allclose(boat.resistance_force, [0, 1500.0, 4000.0], rtol=1e-15)
-
-
-def test_guesses_are_read_from_the_file() -> None:
-    guesses = Vessel.load("usv75").guesses
-    assert "A_R" in guesses
-    assert "mass" not in guesses  # Table 1 of the paper
-    assert "resistance_force" in guesses
 
 
 if __name__ == "__main__":
