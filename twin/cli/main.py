@@ -21,12 +21,7 @@ from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
 from twin.cli.simulate import simulate_command
 from twin.cli.train import train_command
-from twin.cli.vessel import (
-    vessel_check_command,
-    vessel_hydro_command,
-    vessel_mesh_command,
-    vessel_new_command,
-)
+from twin.cli.vessel import vessel_check_command, vessel_new_command
 from twin.cli.view import view_command
 
 __all__ = [
@@ -74,8 +69,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
 VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
     "check": vessel_check_command,
     "new": vessel_new_command,
-    "mesh": vessel_mesh_command,
-    "hydro": vessel_hydro_command,
 }
 
 LOG_COMMANDS: dict[str, Callable[..., None]] = {"check": log_check_command}

@@ -87,18 +87,6 @@ def test_a_benchmark_prints_a_note_once(tmp_path: Path, monkeypatch: pytest.Monk
     assert "it capsizes" in Path("out/results.json").read_text()
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("otter", "upright in sea 2; not tried: sea 3, 4 (rougher, or waves above 0.5 lengths)"),
-        ("usv75", "a minute with dof=6: upright in sea 2, 3, 4\n"),
-        ("kvlcc2_l7", "capsizes in sea"),
-    ],
-)
-def test_vessel_check_says_in_which_seas_a_vessel_capsizes(name: str, said: str) -> None:
-    assert said in CliRunner().invoke(app, ["vessel", "check", name]).output
-
-
 def test_a_view_says_it_of_the_vessel_and_sea_that_are_chosen(tmp_path: Path) -> None:
     calm = SimulationSetup(vessel=TENDER, sea=SeaState.named("0"), predictor="persistence")
     session = SimulatedSession(calm, tmp_path)

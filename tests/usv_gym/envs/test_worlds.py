@@ -16,8 +16,7 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves
-from usv_gym.vessel.variation import BoatClass
-from usv_gym.vessel.vessel import VesselError
+from usv_gym.vessel.vessel import BoatClass, VesselError
 from usv_kernel.errors import UsvTwinError
 
 ALL = {
