@@ -42,7 +42,7 @@ from twin.benchmark.trust_answers import (
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigator import Navigator
-from twin.logs.diagnosis.findings import Finding
+from twin.integrity.findings import Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
@@ -365,7 +365,7 @@ class TrustMeter:
         Parameters
         ----------
         findings : sequence of Finding
-            Of ``twin.logs.diagnosis.diagnose``, and of ``trust_answers.unknown_offset``.
+            Of ``twin.integrity.log_check.check_log``.
         """
         in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
         last = self._compared(in_use)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
+from twin.integrity.findings import ERROR, WARNING, Finding
 from twin.integrity.monitor import SensorStatus
-from twin.logs.diagnosis.diagnose import Diagnosis
-from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, ParametersInUse
@@ -37,7 +36,6 @@ __all__ = [
     "sensor_answer",
     "speed_ratio",
     "turned_effects",
-    "unknown_offset",
     "with_parameters_in_use",
 ]
 
@@ -96,15 +94,14 @@ SHOWN = 2
 SEE_CHECK = "see usv-twin log check"
 """Ends the line on the sensors where the log check found something."""
 
-UNKNOWN_OFFSET = "compass-unknown"
-"""Code of a note that the track of a log does not tell by how much the compass is off."""
+TIMING = ("time", "gap", "jitter")
+"""Codes of findings on stamps, which a twin mostly bridges."""
 
-TIMING = ("time-", "fix-stamps")
-"""Beginnings of codes of findings on stamps, which a twin mostly bridges."""
+SILENT = ("lost", "frozen")
+"""Codes of findings on sensors that were silent for a while."""
 
-PASSING = ("gyro-compass", "compass-steps", "fix-jumps", "fix-spikes", "fix-steps")
-"""Codes of findings that may concern a moment only; so do those of silent sensors. The others
-concern the whole log."""
+PASSING = ("contradiction", "jump")
+"""Codes of findings that may concern a moment only. The others concern the whole log."""
 
 STRAIGHT_LENGTHS, STRAIGHT_RATE = 3.0, 0.2
 """A boat goes straight ahead if its shaft speeds were steady over the time in which it goes so many
@@ -194,7 +191,7 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     Parameters
     ----------
     findings : sequence of Finding
-        Of ``twin.logs.diagnosis.diagnose``.
+        Of ``twin.integrity.log_check.check_log``.
     health : HealthCount, optional
         What the twin said of its sensors while it ran over the log.
     """
@@ -202,7 +199,7 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
     doubted.sort(key=_consequence)
     numbers = {
-        "findings": {f.code: f.severity for f in doubted},
+        "findings": {f"{f.code} {f.sensor}": f.severity for f in doubted},
         "health_s": {" ".join(key): stretch.seconds for key, stretch in health.found.items()},
     }
     lines = health.lines()
@@ -213,7 +210,7 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
     parts += [text for colour, text in lines if colour == AMBER]
     longest = max((stretch.seconds for stretch in health.found.values()), default=0.0)
     badness = (float(len(parts) + max(len(doubted) - SHOWN, 0)), longest)
-    unknown = [f.what for f in findings if f.code == UNKNOWN_OFFSET]
+    unknown = [f.what for f in findings if f.code == "unchecked" and f.sensor == "compass"]
     if not parts:
         briefly = "; ".join(line[1] for line in lines[:2])
         text = "; ".join([briefly or "none in doubt", *unknown])
@@ -229,23 +226,7 @@ def sensor_answer(findings: Sequence[Finding], health: HealthCount | None = None
 def _consequence(finding: Finding) -> tuple[bool, bool, bool, bool]:
     """Return what orders findings: errors first; the motion, silent sensors, then the timing."""
     code = finding.code
-    is_silent = code.endswith("-lost") or code == "stale-rows"
-    return finding.severity != ERROR, code.startswith(TIMING), is_silent, code in PASSING
-
-
-def unknown_offset(diagnosis: Diagnosis) -> list[Finding]:
-    """Return a note where the log check cannot tell by how much the compass is off, else nothing.
-
-    A finding that names a fault of compass or track stands for it.
-    """
-    track, rates = diagnosis.measured.track, diagnosis.measured.rates
-    if (track is not None and track.is_known) or not rates.get("compass"):
-        return []
-    named = [f for f in diagnosis.findings if f.code.startswith(("compass-", "track-", "course-"))]
-    if any(f.severity != NOTE for f in named):
-        return []
-    seen = next((f" ({f.what})" for f in named if f.code == "compass-offset"), "")
-    return [Finding(NOTE, UNKNOWN_OFFSET, f"compass offset: cannot tell from this track{seen}", "")]
+    return finding.severity != ERROR, code in TIMING, code in SILENT, code in PASSING
 
 
 def parameter_answer(

@@ -26,7 +26,7 @@ from twin.particulars import Particulars
 from usv_kernel.jit import kernel
 from usv_kernel.records import as_record, field_at
 
-__all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
+__all__ = ["SensorMonitor", "SensorStatus", "run_over", "statuses_of"]
 
 Array = NDArray[Any]
 
@@ -215,3 +215,37 @@ class SensorMonitor:
         """
         check_fields(state, {"memory": self.memory}, {"memory": Field(nan=True)})
         fill({"memory": self.memory}, state)
+
+
+def run_over(particulars: Particulars, t: Array, z: Array, cmd: Array) -> tuple[Array, Array]:
+    """Run the checks over the rows of a log.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Of the boat.
+    t, z, cmd : ndarray, shapes (N,), (N, 19), (N, 4)
+        Times, s, measurements and commands.
+
+    Returns
+    -------
+    statuses, reasons : ndarray, shape (N, 5)
+        Of each sensor of ``twin.integrity.state.SENSORS`` after each row.
+    """
+    statuses, reasons = np.zeros((2, len(t), len(SENSORS)))
+    memory, settings = initial_integrity(particulars), integrity_settings(particulars)
+    held = np.nan_to_num(cmd)
+    out, state = np.zeros(len(MEASUREMENTS)), np.zeros(6)
+    t, z = np.ascontiguousarray(t), np.ascontiguousarray(z)
+    _run_over(t, z, held, state, memory, settings, out, statuses, reasons)
+    return statuses, reasons
+
+
+@kernel
+def _run_over(t, z, cmd, state, memory, settings, out, statuses, reasons):
+    """Do :func:`run_over` on flat memory."""
+    record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
+    for k in range(len(t)):
+        check_sensors(t[k] - t[k - 1] if k else 0.0, z[k], cmd[k], state, False, record, given, out)
+        for j in range(statuses.shape[1]):
+            statuses[k, j], reasons[k, j] = record.sensors[j].status, record.sensors[j].reason

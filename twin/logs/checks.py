@@ -10,25 +10,34 @@ import numpy.typing as npt
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.clock import set_back_remedy
 from twin.logs.columns import Array
-from twin.logs.diagnosis.findings import held, repeated
-from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
-from twin.logs.diagnosis.position import find_jumps
-from twin.logs.diagnosis.signals import ENOUGH
-from twin.logs.diagnosis.timing import GAP_STEPS, is_gap, longest_gap
 from twin.logs.errors import LogError
+from twin.logs.jumps import find_jumps
 from twin.logs.readers import Table
+from twin.logs.recording import held, repeated
+from twin.logs.signals import ENOUGH, integrated
 from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
+    "DEGREE",
+    "GAP_STEPS",
     "check_drive",
     "check_measurement",
     "check_turning",
     "checked_time",
+    "compass_in_degrees",
     "drop_jumps",
     "drop_repeats",
     "held_command",
+    "in_degrees",
+    "is_gap",
     "stream_end",
+    "turn_ratio",
 ]
+
+DEGREE = math.pi / 180.0
+
+GAP_STEPS = 5.0
+"""A longer step of time is a gap, in median steps."""
 
 _WHOLE_TURN = 0.35
 """A step this near to whole turns is one of unwrapping, rad."""
@@ -252,3 +261,90 @@ def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:
     """Return the length and the start of the longest run of rows without a sample."""
     length, start = longest_gap(t, valid)
     return f"longest gap {length:.1f} s at t = {start:.1f} s"
+
+
+def is_gap(t: Array) -> npt.NDArray[np.bool_]:
+    """Return which steps of time are gaps, shape (N - 1,)."""
+    step = np.diff(t)
+    return np.asarray(step > GAP_STEPS * np.median(step))
+
+
+def longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> tuple[float, float]:
+    """Return length and start of the longest run of rows without a sample, s."""
+    edge = np.diff(np.concatenate(([1], valid.astype(np.int8), [1])))
+    first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
+    # A run lasts until the next sample; at the end of the log, for one step beyond it.
+    until = np.append(t, t[-1] + np.median(np.diff(t)))[after]
+    longest = int(np.argmax(until - t[first]))
+    return float(until[longest] - t[first[longest]]), float(t[first[longest]])
+
+
+def turn_ratio(t_compass: Array, psi: Array, t_gyro: Array, gyro: Array) -> float:
+    """Return how many times as fast a gyro turns as a heading; 0 where they turn otherwise.
+
+    Parameters
+    ----------
+    t_compass, psi : ndarray, shape (N,)
+        Times, s, and headings, rad, wrapped or not.
+    t_gyro, gyro : ndarray, shape (M,)
+        Times and yaw rates.
+    """
+    grid = coarse_grid(t_compass)
+    by_gyro = np.diff(np.interp(grid, t_gyro, integrated(t_gyro, gyro)))
+    by_compass = np.diff(np.interp(grid, t_compass, np.unwrap(psi)))
+    both, square = float(by_compass @ by_gyro), float(by_compass @ by_compass)
+    similar = both > 0.9 * math.sqrt(square * float(by_gyro @ by_gyro))
+    return float(both / max(square, 1e-9)) if similar else 0.0
+
+
+def coarse_grid(t: Array) -> Array:
+    """Return times 2 s apart, or ten steps if those are longer."""
+    step = max(2.0, 10.0 * float(np.median(np.diff(t))), (t[-1] - t[0]) / 1e5)
+    return np.arange(t[0], t[-1], step)
+
+
+def compass_in_degrees(
+    compass: tuple[Array, Array], fix: tuple[Array, Array], gyro: tuple[Array, Array]
+) -> str:
+    """Return why headings taken as radians must be degrees, or nothing.
+
+    Parameters
+    ----------
+    compass, fix, gyro : tuple of ndarray
+        Times (N,) and samples: headings (N,), positions (N, 2), yaw rates (N,).
+    """
+    at, heading = compass
+    if len(heading) < ENOUGH or np.abs(heading).max() <= 2.1 * math.pi:
+        return ""
+    if len(fix[0]) >= ENOUGH:
+        grid = coarse_grid(fix[0])
+        way = np.diff([np.interp(grid, fix[0], column) for column in fix[1].T])
+        psi = heading[np.searchsorted(at, grid[1:]).clip(max=len(at) - 1)]
+        length, course = np.hypot(*way), np.arctan2(way[1], way[0])
+        ahead = [
+            length @ np.cos(scale * psi - course) / max(length.sum(), 1e-9)
+            for scale in (1.0, DEGREE)
+        ]
+        if ahead[0] < 0.5 and ahead[1] > 0.9:
+            return "taken as degrees the boat goes where it points, as radians not"
+    if len(gyro[0]) >= ENOUGH:
+        times = turn_ratio(at, heading, *gyro)
+        if not 0.5 < times < 2.0 and 0.5 < turn_ratio(at, DEGREE * heading, *gyro) < 2.0:
+            return "taken as degrees it turns as the yaw rate says, as radians not"
+    return ""
+
+
+def in_degrees(fix: Array) -> str:
+    """Return why positions (N, 2) without NaN must be latitude and longitude, or nothing."""
+    # a receiver without satellites writes (0, 0): this is no place of the boat
+    fix = fix[fix.any(axis=1)]
+    if len(fix) < ENOUGH:
+        return ""
+    middle, spread = np.abs(np.median(fix, axis=0)), np.ptp(fix, axis=0)
+    small = spread.max() < 0.2 and spread.max() > 0.0
+    if small and middle.max() > 100.0 * spread.max() and middle[0] <= 180.0 and middle[1] <= 180.0:
+        return (
+            f"all lie within {spread.max():.2g} of ({np.median(fix[:, 0]):.5g}, "
+            f"{np.median(fix[:, 1]):.5g}), as degrees of latitude and longitude do"
+        )
+    return ""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from twin.logs.columns import Array
-from twin.logs.diagnosis.signals import ENOUGH, white_noise
+from twin.logs.signals import ENOUGH, white_noise
 
 __all__ = ["SORT", "run_on", "set_back", "set_back_remedy", "stood_in_gap"]
 

@@ -41,11 +41,11 @@ from twin.logs.checks import (
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
-from twin.logs.diagnosis.findings import equal_times
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, ParquetFile, shorten, twice_said
 from twin.logs.mapping import Layout, layout_of, lone_sides
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
+from twin.logs.recording import equal_times
 from twin.logs.rosbag import is_bag, read_bag
 from usv_kernel.files import replacing
 

@@ -6,6 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from twin.health.monitor import SensorStatus
+from twin.logs.diagnosis.diagnose import diagnose
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 
 from twin import Log, Particulars, Prediction, Twin
 from twin.benchmark.trust import (
@@ -30,10 +33,7 @@ from twin.benchmark.trust_answers import (
     with_parameters_in_use,
 )
 from twin.cli.logs.judge_picture import draw_verdict
-from twin.health.monitor import SensorStatus
 from twin.identification.data_weight import CHOSEN, PRIOR
-from twin.logs.diagnosis.diagnose import diagnose
-from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.motion.tilt_meter import TiltScore
 from twin.predictors.base import ParametersInUse
 from twin.predictors.dsw_ukf_plus import PlusPredictor

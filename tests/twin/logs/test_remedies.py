@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
+from twin.logs.diagnosis.findings import ERROR, Finding, Recording, clashing_rows
 from typer.testing import CliRunner
 
 from twin.cli.main import app
-from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
-from twin.logs.diagnosis.findings import ERROR, Finding, Recording, clashing_rows
 from twin.logs.errors import LogError
 from twin.logs.log import Log, read_table, recorded_runs, sibling_path
 from twin.particulars import Particulars

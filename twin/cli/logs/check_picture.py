@@ -19,11 +19,11 @@ from twin.benchmark.figures.style import (
     set_ticks,
     set_title,
 )
-from twin.logs.diagnosis.diagnose import Diagnosis
-from twin.logs.diagnosis.findings import Recording
-from twin.logs.diagnosis.signals import ENOUGH, integrated, sampled
-from twin.logs.diagnosis.signs import speed_of
-from twin.logs.diagnosis.timing import SENSORS
+from twin.integrity.findings import SEVERITIES
+from twin.integrity.log_check import LogCheck
+from twin.integrity.rows import SENSORS, speed_of
+from twin.logs.recording import Recording
+from twin.logs.signals import ENOUGH, integrated, sampled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,20 +37,16 @@ _POINTS = 4000
 """Most points of a curve."""
 
 
-def draw_check(found: Diagnosis) -> bytes:
-    """Return the picture of a diagnosis as PNG."""
+def draw_check(found: LogCheck) -> bytes:
+    """Return the picture of a check as PNG."""
     recording = _drawable(found.recording)
     entries: list[Entry] = [
         (line(BLUE), "fixes; left unit"),
         (line(ORANGE), "compass, velocity; right unit"),
         (line(GREEN), "gyro; steering angle"),
     ]
-    about = ", ".join(
-        f"{len(found.of(kind))} {kind}(s)"
-        for kind in ("error", "warning", "note")
-        if found.of(kind)
-    )
-    mosaic = [["track", "samples"], ["track", "speed"], ["lags", "turn"], ["commands", "heading"]]
+    about = ", ".join(f"{found.count(kind)} {kind}(s)" for kind in SEVERITIES if found.count(kind))
+    mosaic = [["track", "samples"], ["track", "speed"], ["agreed", "turn"], ["commands", "heading"]]
     fig, axes = new_figure(
         f"{recording.name}: check", about or "nothing found", entries, mosaic, (11.0, 9.0)
     )
@@ -59,7 +55,7 @@ def draw_check(found: Diagnosis) -> bytes:
     _speed(axes["speed"], recording)
     _turn(axes["turn"], recording)
     _heading(axes["heading"], recording)
-    _lags(axes["lags"], found)
+    _agreed(axes["agreed"], found.agreed)
     _commands(axes["commands"], recording)
     low, high = float(recording.t[0]), float(recording.t[-1])
     for name in ("samples", "speed", "turn", "heading", "commands"):
@@ -155,25 +151,17 @@ def _heading(ax: Axes, recording: Recording) -> None:
     set_ticks(ax, 6, 4, "time, s")
 
 
-def _lags(ax: Axes, found: Diagnosis) -> None:
-    lags = found.measured.lags
-    if not lags:
+def _agreed(ax: Axes, agreed: dict[str, float]) -> None:
+    """Draw how well sensors and commands agree."""
+    if not agreed:
         ax.set_axis_off()
         return
-    set_title(ax, "correlation at each lag")
-    for (name, lag), style in zip(lags.items(), ((GREEN, "-"), (BLUE, DASHED)), strict=False):
-        ax.plot(
-            lag.lags,
-            lag.curve,
-            color=style[0],
-            ls=style[1],
-            lw=1.4,
-            label=f"{name} {lag.seconds:+.2f} s",
-        )
-        ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
-    ax.set_ylim(-1.6, 1.1)  # the legend is below the curves
-    ax.legend(fontsize=8, frameon=False, loc="lower center", ncols=2)
-    set_ticks(ax, 5, 4, "lag, s")
+    set_title(ax, "share of two signals that agrees, %")
+    names = list(agreed)
+    ax.barh(names, [100.0 * agreed[name] for name in names], color=BLUE, height=0.6)
+    ax.set_xlim(0.0, 100.0)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(labelsize=8, length=0)
 
 
 def _commands(ax: Axes, recording: Recording) -> None:

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from twin.benchmark.trust import RULES, TrustMeter, Verdict
-from twin.benchmark.trust_answers import unknown_offset
 from twin.cli.common import (
     LogArgument,
     MappingOption,
@@ -21,9 +20,10 @@ from twin.cli.common import (
     write_json,
 )
 from twin.cli.logs.judge_picture import draw_verdict
-from twin.logs.diagnosis.diagnose import diagnose
-from twin.logs.diagnosis.findings import Finding, Recording
+from twin.integrity.findings import Finding
+from twin.integrity.log_check import check_recording
 from twin.logs.log import read_table
+from twin.logs.recording import Recording
 from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PREDICTORS
 from usv_kernel.files import write_whole
@@ -96,8 +96,7 @@ def findings_of(
         kept = data["t_s"] <= until
         data = {name: column[kept] for name, column in data.items()}
     recording = Recording.of(data, table.given, table.name, table.plane)
-    found = diagnose(recording, particulars)
-    return (*found.findings, *unknown_offset(found))
+    return check_recording(recording, particulars).findings
 
 
 def print_verdict(verdict: Verdict) -> None:

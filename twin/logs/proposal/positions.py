@@ -8,13 +8,11 @@ import math
 import numpy as np
 
 from twin.channels import MEASUREMENTS
+from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import radii
-from twin.logs.diagnosis.findings import Recording
-from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
-from twin.logs.diagnosis.signs import turned_by
-from twin.logs.diagnosis.track import compass_on_track
 from twin.logs.files import EMPTY, is_number
+from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
 from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, entry, known, pick
 
@@ -148,8 +146,8 @@ def is_from_east(fix: tuple[Array, Array], heading: tuple[Array, Array]) -> bool
 
     The same holds for a heading from north where latitude and longitude are swapped.
     """
-    fit = compass_on_track(fix, heading)
-    if fit is None or not (fit.mirrored > 0.7 and fit.mirrored > fit.along + 0.3):
+    fit = heading_on_track(fix, heading)
+    if fit is None or not (fit.mirrored > 0.7 and fit.mirrored > fit.coherence + 0.3):
         return False
     return True if abs(fit.mirror - 0.5 * math.pi) < 0.6 else None
 
@@ -173,13 +171,14 @@ def _is_swapped_by_heading(columns: Columns, t: Array | None, lat: Array, lon: A
     sides = sides_of(there)
     if sides is None:
         return False
-    data = {"t_s": t, "compass_rad": angle}
-    for target, each in zip(("n_left_rps", "n_right_rps"), sides, strict=True):
+    thrust = []
+    for each in sides:
         shaft = columns.numbers[each]
         pulses = known(shaft).min(initial=math.inf) >= 800.0 and known(shaft).max() <= 2200.0
-        data[target] = shaft - 1500.0 * pulses
+        n = shaft - 1500.0 * pulses
+        thrust.append(n * np.abs(n))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return turned_by(Recording.of(data, {}, "log")) > 0
+        return turns_as_driven(t, angle, thrust[0] - thrust[1])
 
 
 def angle_unit(name: str, values: Array) -> str:

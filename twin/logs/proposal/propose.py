@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.checks import in_degrees
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
-from twin.logs.diagnosis.heading import gyro_on_compass
-from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
+from twin.logs.proposal.agreement import Agreement, gyro_on_compass, velocity_on_fixes
 from twin.logs.proposal.commands import find_commands, find_pulses
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
@@ -255,7 +255,8 @@ def _gyro(
     columns: Columns, found: Proposal, t: Array | None, heading: tuple[Array, Array] | None
 ) -> None:
     """Find the yaw rate; the heading tells which it is, its unit and sign."""
-    best, name = None, pick(columns, "gyro")
+    best: Agreement | None = None
+    name = pick(columns, "gyro")
     if name is None:
         return
     if t is not None and heading is not None:
@@ -264,16 +265,16 @@ def _gyro(
             if each not in columns.numbers or not named:
                 continue
             fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
-            if fit is not None and (best is None or abs(fit.correlation) > abs(best.correlation)):
+            if fit is not None and (best is None or fit.coherence > best.coherence):
                 best, name = fit, each
     unit = unit_of(name, ("degpmin", "degps", "radps"))
     scale = {"degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
     more = why = ""
-    if best is not None and abs(best.correlation) > 0.8:
+    if best is not None and best.coherence > 0.8:
         for each in ("radps", "degps", "degpmin"):
-            if 0.7 < abs(best.scale) * scale.get(each, 1.0) < 1.4:
+            if 0.7 < best.ratio * scale.get(each, 1.0) < 1.4:
                 unit, why = each, "as the heading says"
-        if best.scale < 0.0:
+        if abs(best.turned) > 1.0:
             more, why = "scale = -1.0", "it turns against the heading"
     elif best is not None:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")

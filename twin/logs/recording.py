@@ -1,4 +1,4 @@
-"""What a detector returns, and the raw columns that it reads."""
+"""Columns of a log before any repair, and which of their samples are new."""
 
 from __future__ import annotations
 
@@ -16,53 +16,12 @@ from twin.logs.datum import Plane
 from twin.logs.readers import merged
 
 __all__ = [
-    "ERROR",
-    "NOTE",
-    "SEVERITIES",
-    "WARNING",
-    "Finding",
     "Recording",
     "clashing_rows",
     "equal_times",
     "held",
     "repeated",
 ]
-
-ERROR, WARNING, NOTE = "error", "warning", "note"
-
-SEVERITIES = (ERROR, WARNING, NOTE)
-"""``error``: the log cannot be used so. ``warning``: the twin will be worse. ``note``: sound,
-but good to know."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that a detector found.
-
-    Parameters
-    ----------
-    severity : str
-        One of :data:`SEVERITIES`.
-    code : str
-        Name of the fault, such as ``gyro-sign``; stable, for programs.
-    what : str
-        The fault in plain words, with its number.
-    remedy : str
-        What to do about it.
-    evidence : mapping of str to float
-        The numbers behind it; SI units, as their names end.
-    """
-
-    severity: str
-    code: str
-    what: str
-    remedy: str
-    evidence: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def text(self) -> str:
-        """The finding and its remedy in one line."""
-        return f"{self.what}; {self.remedy}" if self.remedy else self.what
 
 
 @dataclass(frozen=True, eq=False)

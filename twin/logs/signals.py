@@ -131,7 +131,8 @@ def ways(t: Array, fix: Array) -> tuple[Array, Array, float]:
     noise = math.hypot(white_noise(t, fix[:, 0]), white_noise(t, fix[:, 1]))
     rate = 1.0 / max(float(np.median(np.diff(t))), 1e-6)
     most = (t[-1] - t[0]) / 12.0
-    step = min(max(2.0, 8.0 / rate), most)
+    # of fixes with a gap of years, no more ways than fixes
+    step = min(max(2.0, 8.0 / rate, float(t[-1] - t[0]) / len(t)), most)
     while True:
         grid = np.arange(t[0] + 0.5 * step, t[-1] - 0.5 * step, step)
         way = np.diff(averaged(t, fix, grid, 0.5 * step), axis=0)

@@ -1,0 +1,176 @@
+"""Instruments of a boat as its log shows them, and a particulars file with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.integrity.rows import SENSORS, fix_scatter, speed_of
+from twin.logs.recording import Recording
+from twin.logs.signals import ENOUGH, white_noise
+from twin.particulars import LATENCY_MAX, Instruments, Particulars
+
+__all__ = ["Measured", "estimate_instruments", "noise_of", "particulars_text", "typical_boat"]
+
+Array = npt.NDArray[np.float64]
+
+LEAST = {"gps_sd": 0.005, "doppler_sd": 0.02, "compass_sd": 0.002, "gyro_sd": 5e-4}
+"""No standard deviation is set lower: filtered columns are smoother than the sensor is true."""
+
+UPRIGHT_MPS2 = 0.07
+"""Margin for what the white noise of an accelerometer leaves out: the tilt of the boat."""
+
+KNOWN_S = 0.05
+"""A latency counts where its standard deviation is smaller."""
+
+NOISY = {
+    "doppler_sd": "velocity",
+    "compass_sd": "compass",
+    "gyro_sd": "gyro",
+}
+
+
+class Measured(NamedTuple):
+    """A parameter of a sensor."""
+
+    value: float
+    sd: float
+
+
+def noise_of(recording: Recording) -> dict[str, float]:
+    """Return the white noise of each sensor, from sample to sample, in its unit."""
+    found = {}
+    for sensor, names in SENSORS.items():
+        t, values = recording.samples(*names)
+        if sensor == "compass":
+            values = np.unwrap(values, axis=0)
+        squares = [white_noise(t, column) ** 2 for column in values.T] if len(t) >= ENOUGH else []
+        found[sensor] = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+    return found
+
+
+def estimate_instruments(
+    recording: Recording,
+    noise: dict[str, float],
+    measured: dict[str, Measured | None],
+    particulars: Particulars | None = None,
+) -> tuple[Instruments, dict[str, str]]:
+    """Return instruments as a log shows them, and for each key that it shows, how.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log.
+    noise : dict of str to float
+        Of :func:`noise_of`.
+    measured : dict of str to Measured or None
+        Latency of the GPS and bias of the gyro, as far as the log shows them.
+    particulars : Particulars, optional
+        For what a log cannot show: slow errors of position and heading, places of the sensors.
+    """
+    found: dict[str, tuple[float, str]] = {}
+
+    def set_noise(key: str, value: float, why: str) -> None:
+        if math.isfinite(value) and value < 1e6:
+            least = LEAST[key]
+            found[key] = (max(value, least), why if value > least else f"{why}, least value")
+
+    along = fix_scatter(*recording.samples("gps_x_m", "gps_y_m"))[0]
+    if along > noise["fix"]:
+        set_noise("gps_sd", along, "scatter of the fixes along the track")
+    else:
+        set_noise("gps_sd", noise["fix"], "scatter from fix to fix")
+    for key, sensor in NOISY.items():
+        set_noise(key, noise[sensor], "scatter from sample to sample")
+    if noise["accelerometers"] < 1e6:
+        scatter = math.hypot(noise["accelerometers"], UPRIGHT_MPS2)
+        found["accel_sd"] = scatter, f"scatter from sample to sample, and {UPRIGHT_MPS2} for tilt"
+    bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
+    if bias is not None and abs(bias.value) < 0.1:
+        found["gyro_bias_sd"] = max(abs(bias.value), 5e-4), "mean difference from the compass"
+    if late is not None and late.sd < KNOWN_S < late.value + KNOWN_S:
+        found["gps_latency"] = min(late.value, LATENCY_MAX), "best agreement with accelerometers"
+    base = Instruments() if particulars is None else particulars.instruments
+    values: dict[str, Any] = {key: float(f"{pair[0]:.3g}") for key, pair in found.items()}
+    return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}
+
+
+def _speed_and_shaft(recording: Recording) -> tuple[float, float]:
+    """Return the upper quartile of the speeds of a log, m/s, and the shaft speed there, rev/s."""
+    motion = speed_of(recording)
+    if motion is None:
+        return math.nan, math.nan
+    middle, speeds = motion[0], np.hypot(*motion[1].T)
+    speed = float(np.quantile(speeds, 0.75))
+    near = middle[np.abs(speeds - speed) < 0.2 * speed]
+    n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
+    return speed, float(np.median(np.interp(near, recording.t, n))) if len(near) else math.nan
+
+
+def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
+    """Return particulars for the checks of sensors, where those of the boat are unknown."""
+    speed, _ = _speed_and_shaft(recording)
+    speed = min(max(speed, 0.5), 20.0) if math.isfinite(speed) else 1.0
+    return Particulars(
+        name="unknown", length=3.0, beam=1.2, draft=0.3, mass=300.0, speed=speed, shaft_speed=20.0,
+        instruments=instruments,
+    )  # fmt: skip
+
+
+def particulars_text(
+    recording: Recording,
+    instruments: Instruments,
+    reasons: dict[str, str],
+    particulars: Particulars | None = None,
+) -> str:
+    """Return the text of a particulars file, with instruments estimated from a log.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log.
+    instruments, reasons
+        Of :func:`estimate_instruments`.
+    particulars : Particulars, optional
+        Of the boat. Without them the keys that no log shows stand as comments to fill in, and
+        the file is refused until that is done.
+    """
+    if particulars is not None:
+        text = dataclasses.replace(particulars, instruments=instruments).to_toml()
+    else:
+        text = _template(recording, instruments)
+    lines = []
+    for line in text.splitlines():
+        key = line.partition(" = ")[0]
+        lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
+    head = f"# Instruments estimated from {recording.name} by usv-twin check;"
+    return "\n".join([head, "# those without a comment are not.", *lines]) + "\n"
+
+
+def _template(recording: Recording, instruments: Instruments) -> str:
+    """Return the text for a boat of which only its log is known."""
+    speed, shaft = _speed_and_shaft(recording)
+    fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
+    lines = [
+        "[particulars]",
+        f"name = {json.dumps(recording.name, ensure_ascii=False)}",
+        "# length = ?    # fill in: m, on the waterline",
+        "# beam = ?      # fill in: m",
+        "# draft = ?     # fill in: m",
+        "# mass = ?      # fill in: kg",
+        f"speed = {speed:.3g}  # upper quartile of the log" if speed == speed else "# speed = ?",
+        f"shaft_speed = {shaft:.3g}  # at that speed" if shaft == shaft else "# shaft_speed = ?",
+        f'steering = "{"differential" if fixed else "drives"}"  # '
+        + ("no angle changes in the log" if fixed else "the log has angles"),
+        "",
+        "[instruments]",
+    ]
+    for item in dataclasses.fields(instruments):
+        value = getattr(instruments, item.name)
+        lines.append(f"{item.name} = {list(value) if isinstance(value, tuple) else value!r}")
+    return "\n".join(lines)
