@@ -29,7 +29,16 @@ from twin.logs.signals import ENOUGH, averaged, integrated, ways
 from twin.particulars import GRAVITY, Instruments
 from usv_kernel.scalar import rotation
 
-__all__ = ["Comparison", "Signals", "compare", "gain", "log_likelihood", "signals_of", "touched"]
+__all__ = [
+    "BY_COMMANDS",
+    "Comparison",
+    "Signals",
+    "compare",
+    "gain",
+    "log_likelihood",
+    "signals_of",
+    "touched",
+]
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -49,8 +58,14 @@ CURRENT, DRIFT = 0.3, 0.5
 SLOW_S = 6.0
 """Motion that is slower is heel, trim, drift of sensors and current, s."""
 
-TILT = math.radians(3.0)
-"""A boat heels and trims by about this in the mean, rad."""
+WEIGHED_S = 5.0
+"""Gravity is the mean over so long."""
+
+TILT = math.radians(2.0), math.radians(1.0)
+"""A boat heels and trims by about the first in the mean, rad; an AHRS is off by the second."""
+
+ARC = 1.5
+"""Over a larger turn a way tells no direction, rad."""
 
 HORIZONS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Times over which a command changes the motion, s; the one that explains most counts."""
@@ -328,11 +343,12 @@ def _along(s: Signals, velocity: Complex, rows: Array, width: int) -> tuple[Comp
     """
     rows = rows[: len(velocity)]
     velocity = velocity[: len(rows)]
-    heading, thrust = (
-        _mean(each, width)[rows] for each in (s.heading, (s.shafts * np.abs(s.shafts)).sum(axis=1))
-    )
+    heading = _mean(s.heading, width)[rows]
+    # both sides: a propeller that runs backwards gives less thrust
+    thrust = _mean(s.shafts.max(axis=1), width)[rows]
     turned = np.gradient(heading)
-    ok = np.isfinite(velocity) & np.isfinite(turned)
+    # the way of a boat that turns on the spot tells no direction
+    ok = np.isfinite(velocity) & (np.abs(turned) < ARC)
     fitted = np.full(len(velocity), np.nan, dtype=np.complex128)
     if ok.sum() < ENOUGH // 2:
         return velocity, fitted
@@ -381,7 +397,7 @@ def _pushes(s: Signals) -> tuple[Complex, Complex]:
     level = (ahead - np.nanmean(ahead)) + 1j * (aside - np.nanmean(aside))
     speed = _sum(level * np.exp(1j * s.heading), s.step)
     if s.has("velocity"):
-        width = _steps(s, max(1.0, 4.0 * s.intervals.get("velocity", 0.0)))
+        width = _steps(s, max(1.0, 2.0 * s.intervals.get("velocity", 0.0)))
         return _changes(s.velocity, width, 2), _changes(speed, width, 2)
     width = _steps(s, max(2.0, 4.0 * s.intervals.get("fix", 0.0)))
     return _changes(s.fix, width, 3), _changes(_sum(speed, s.step), width, 3)
@@ -424,10 +440,17 @@ def _weighing(s: Signals) -> tuple[Array, Array]:
     """Mean specific force, and gravity with the acceleration of turns."""
     if np.nanstd(s.forces[:, 2]) == 0.0:
         return np.zeros(0), np.zeros(0)  # not measured
-    width = _steps(s, 2.0 * SLOW_S)
+    width = _steps(s, WEIGHED_S)
     speed = np.abs(s.velocity) if s.has("velocity") else np.zeros(len(s.t))
     around = np.gradient(s.heading, s.step) * speed if s.has("heading") else np.zeros(len(s.t))
-    expected = np.column_stack([0.0 * around, around, np.full(len(s.t), -GRAVITY)])
+    roll, pitch = s.angles.T if s.has("angles") else np.zeros((2, len(s.t)))
+    expected = np.column_stack(
+        [
+            GRAVITY * np.sin(pitch),
+            around - GRAVITY * np.sin(roll) * np.cos(pitch),
+            -GRAVITY * np.cos(roll) * np.cos(pitch),
+        ]
+    )
     means = [
         np.concatenate([_mean(column, width)[width // 2 :: width] for column in each.T])
         for each in (s.forces, expected)
@@ -453,7 +476,7 @@ def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[
     size = np.linalg.norm(both[:, 1:], axis=0)
     moves = size > 0.02 * np.linalg.norm(made, axis=0)
     if not moves.any():
-        return change[:0], change[:0]
+        return both[:, 0], np.zeros(len(both))
     made = np.where(moves, both[:, 1:] / np.maximum(size, 1e-300), 0.0)
     return both[:, 0], np.asarray(made @ nnls(made, both[:, 0])[0])
 
@@ -483,7 +506,8 @@ def _yawing(s: Signals) -> tuple[Array, Array]:
     nothing = np.zeros(0)
     if s.horizon_s == 0.0 or _holds_course(s):
         return nothing, nothing
-    return _explained(*_turns_by(s, s.horizon_s))
+    change, own, acts = _turns_by(s, s.horizon_s)
+    return _explained(change, own, acts) if acts else (nothing, nothing)
 
 
 def _holds_course(s: Signals) -> bool:
@@ -560,12 +584,15 @@ COMPARISONS: dict[str, tuple[tuple[str, ...], Callable[[Signals], tuple[Array, A
 }
 """Signals that each needs, and what gives its two sides."""
 
+BY_COMMANDS = ("turns and commands", "speed and thrust")
+"""Comparisons with a model of the boat, which is rough."""
+
 ALSO = {
     "turns of compass and gyro": ("angles",),
     "track and compass": ("shafts",),
     "course and compass": ("shafts",),
     "velocity and accelerometers": ("velocity", "fix", "gyros", "angles"),
-    "gravity and accelerometers": ("heading", "velocity"),
+    "gravity and accelerometers": ("heading", "velocity", "angles"),
     "height and vertical speed": ("climb",),
     "turns and commands": ("shafts", "steering"),
     "speed and thrust": ("shafts",),
@@ -603,8 +630,9 @@ def log_likelihood(
         with np.errstate(all="ignore"):
             one = compare(*pair(s)) if s.has(*needs) else None
         if name == "gravity and accelerometers" and one is not None:
-            # boats heel and trim, all along: each window counts
-            windows = len(s.t) // _steps(s, 2.0 * SLOW_S)
-            one = Comparison(one.rho + TILT**2, windows, windows)
+            # boats heel and trim, all along, where no AHRS shows it: each window counts
+            tilt = TILT[1] if s.has("angles") else TILT[0]
+            windows = len(s.t) // _steps(s, WEIGHED_S)
+            one = Comparison(one.rho - FLOOR + tilt**2, windows, windows)
         found[name] = one
     return found

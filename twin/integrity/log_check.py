@@ -28,6 +28,7 @@ from twin.integrity.instruments import (
     typical_boat,
 )
 from twin.integrity.monitor import run_over
+from twin.integrity.rows import SENSORS as SENSORS_OF
 from twin.integrity.rows import (
     check_cells,
     check_commands,
@@ -38,9 +39,9 @@ from twin.integrity.rows import (
     without_marks,
 )
 from twin.integrity.state import COMMANDS as OF_COMMANDS
-from twin.integrity.state import DOUBTFUL, EXCLUDED, IMPOSSIBLE, REASONS, SENSORS
+from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS, SENSORS
 from twin.integrity.transforms import Undone, explain, gps_delay, gyro_bias, unseen_faults
-from twin.logs.checks import in_degrees
+from twin.logs.checks import in_degrees, is_gap
 from twin.logs.errors import LogError
 from twin.logs.jumps import find_jumps
 from twin.logs.log import Log, assemble, read_table
@@ -54,9 +55,12 @@ Array = npt.NDArray[np.float64]
 
 TIMES = "time-unit"
 
-DOUBT_S, SHORT_S, COMMANDS_S = 3.0, 1.0, 30.0
-"""A sensor that the checks doubt for less is not worth a word, nor one that they leave out for
-less, nor commands: a planing boat does otherwise for a while."""
+SHORT_S, DOUBT_S, DOUBT_SHARE = 1.0, 8.0, 0.1
+"""A sensor that the checks leave out or doubt for less than the first is not worth a word; for
+less than the second at once, and this share of the log in all, a note."""
+
+DRIVES = "shafts", "steering"
+"""Commands in another unit are not held against the motion."""
 
 NOISE = {
     "fix": ("m", 1.0),
@@ -227,7 +231,7 @@ def check_recording(recording: Recording, particulars: Particulars | None = None
         warnings.simplefilter("ignore", RuntimeWarning)  # of columns that are empty for a while
         if not few:
             found += check_silence(recording) + check_leaps(recording)
-            found += check_commands(kept, particulars)
+            kept = _without_spans(kept, found)
             noise = noise_of(kept)
             kept, more, signals, undone = _mended(kept, found, particulars)
             found += more
@@ -238,7 +242,8 @@ def check_recording(recording: Recording, particulars: Particulars | None = None
                 "gps_latency": gps_delay(signals), "gyro_bias_sd": gyro_bias(signals)
             }  # fmt: skip
             instruments, reasons = estimate_instruments(kept, noise, measured, particulars)
-            found += _doubted(kept, undone, instruments, particulars)
+            units = any(each.code == "unit" and each.sensor in DRIVES for each in more)
+            found += _doubted(kept, undone, instruments, particulars, not units)
     order = sorted(_once(found), key=lambda finding: SEVERITIES.index(finding.severity))
     figures = [
         SensorFigures(name, rate, noise.get(name, math.nan) * scale, unit if rate else "")
@@ -277,6 +282,17 @@ def _without_false_fixes(recording: Recording) -> Recording:
     return dataclasses.replace(recording, z=z)
 
 
+def _without_spans(recording: Recording, found: list[Finding]) -> Recording:
+    """Return a recording without stretches in which a sensor stood still."""
+    z = recording.z.copy()
+    for finding in found:
+        columns = SENSORS_OF.get(finding.sensor, (finding.sensor,))
+        if finding.code == "frozen" and columns[0] in MEASUREMENTS:
+            inside = (recording.t > finding.start) & (recording.t <= finding.end)
+            z[np.ix_(inside, [MEASUREMENTS.index(name) for name in columns])] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
 def _mended(
     recording: Recording, found: list[Finding], particulars: Particulars | None
 ) -> tuple[Recording, list[Finding], Signals | None, list[Undone]]:
@@ -292,6 +308,7 @@ def _mended(
         recording = dataclasses.replace(recording, z=z)
     if any(finding.code == TIMES for finding in found):
         recording = dataclasses.replace(recording, t=1e-3 * recording.t)
+    more += check_commands(recording, particulars)
     stated = None if particulars is None else particulars.instruments
     signals = signals_of(recording, stated)
     if signals is None:
@@ -317,37 +334,41 @@ def _doubted(
     undone: list[Undone],
     instruments: Instruments,
     particulars: Particulars | None,
+    with_commands: bool,
 ) -> list[Finding]:
     """Return what the checks that run on board leave out or doubt, and when."""
     rows = _rows(recording, undone)
     boat = particulars or typical_boat(rows, instruments)
-    statuses, reasons = run_over(boat, rows.t, rows.z, rows.cmd)
     t, found = rows.t, []
+    # after a gap they begin anew
+    begins = np.flatnonzero(is_gap(t) & (np.diff(t) > SHORT_S)) + 1
+    parts = np.split(np.arange(len(t)), begins) if len(begins) < len(t) / ENOUGH else []
+    ran = [run_over(boat, t[part], rows.z[part], rows.cmd[part]) for part in parts]
+    if not ran:
+        return []
+    statuses, reasons = (np.concatenate(each) for each in zip(*ran, strict=True))
     for j, sensor in enumerate(SENSORS):
-        if particulars is None and j == OF_COMMANDS:
+        if j == OF_COMMANDS and (particulars is None or not with_commands):
             continue
-        out = statuses[:, j] == EXCLUDED
-        if j != OF_COMMANDS:
-            out |= statuses[:, j] == DOUBTFUL
-        least = COMMANDS_S if j == OF_COMMANDS else SHORT_S
-        runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > least]
-        runs = [
-            (i, k) for i, k in runs if t[k] - t[i] > DOUBT_S or (statuses[i:k, j] == EXCLUDED).any()
-        ]
+        out = (statuses[:, j] == EXCLUDED) | (statuses[:, j] == DOUBTFUL)
+        runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > SHORT_S]
         if not runs:
             continue
         i, k = max(runs, key=lambda run: t[run[1]] - t[run[0]])
-        total = sum(t[b] - t[a] for a, b in runs)
+        total = float(sum(t[b] - t[a] for a, b in runs))
         why = int(np.bincount(reasons[i : k + 1, j].astype(int)).argmax())
-        what = f"{sensor} {REASONS[why]} from t = {t[i]:.1f} to {t[k]:.1f} s" + (
-            f", {total:.0f} s in {len(runs)} stretches" if len(runs) > 1 else ""
-        )
-        code = "mark" if why == IMPOSSIBLE else "frozen" if "repeats" in REASONS[why] else (
-            "contradiction"
-        )  # fmt: skip
+        what = f"{sensor} {REASONS[why]} from t = {t[i]:.1f} to {t[k]:.1f} s"
+        if len(runs) > 1:
+            what += f", {total:.0f} s in {len(runs)} stretches"
+        code = "contradiction"
+        if why in (IMPOSSIBLE, FROZEN):
+            code = "mark" if why == IMPOSSIBLE else "frozen"
+        brief = t[k] - t[i] < DOUBT_S and total < DOUBT_SHARE * (t[-1] - t[0])
+        # of commands, the whole log tells more than a stretch
+        severity = NOTE if brief or j == OF_COMMANDS else WARNING
         remedy = "the twin leaves it out there; mend it or empty these cells"
         span = {"start": float(t[i]), "end": float(t[k])}
-        found.append(Finding(WARNING, code, what, remedy, sensor, float(total), **span))
+        found.append(Finding(severity, code, what, remedy, sensor, total, **span))
     return found
 
 

@@ -14,7 +14,7 @@ from twin.logs.checks import GAP_STEPS, is_gap
 from twin.logs.clock import SORT, set_back, stood_in_gap
 from twin.logs.columns import SHARE, UNITS
 from twin.logs.jumps import find_jumps
-from twin.logs.recording import Recording
+from twin.logs.recording import Recording, wild_stamps
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
 from twin.particulars import Particulars
 
@@ -149,6 +149,15 @@ def check_time(recording: Recording) -> list[Finding]:
 def _order(stamps: Array, clashes: int) -> list[Finding]:
     """Return findings about times that are empty, equal or go back."""
     found = []
+    wild = wild_stamps(stamps)
+    if wild.any():
+        row = int(np.argmax(wild))
+        what = (
+            f"{wild.sum()} stamp(s) are far from all others (row {row + 1}: {stamps[row]:.10g} s)"
+        )
+        remedy = "the clock was not set there: correct these stamps or remove the rows"
+        found.append(Finding(ERROR, "time", what, remedy, "time", float(wild.sum())))
+        stamps = stamps[~wild]
     valid = stamps[np.isfinite(stamps)]
     step = np.diff(valid)
     if len(valid) < len(stamps):
@@ -247,14 +256,15 @@ def _repeats(
     recording: Recording, j: int, rows: npt.NDArray[np.intp], values: Array
 ) -> list[Finding]:
     """Return a finding where a column that changes from row to row is the same for long."""
-    same = np.diff(values) == 0.0
-    if np.mean(same) > 0.5 or j in (0, 1, 4):  # fixes and headings repeat while a boat rests
+    if j in (0, 1, 4):  # fixes and headings repeat while a boat rests
         return []
-    t = recording.t[rows]
+    same, t = np.diff(values) == 0.0, recording.t[rows]
     runs = [(i, k) for i, k in runs_of(same) if t[k] - t[i] > DEAD_S and k - i >= ENOUGH]
     if not runs:
         return []
     i, k = max(runs, key=lambda run: t[run[1]] - t[run[0]])
+    if np.mean(np.delete(same, slice(i, k))) > 0.5:
+        return []
     what = (
         f"{recording.called(MEASUREMENTS[j])}: from t = {t[i]:.1f} to {t[k]:.1f} s all values are "
         f"{values[i]:g}"
@@ -313,7 +323,7 @@ def check_silence(recording: Recording) -> list[Finding]:
         inside = (recording.t > edges[row]) & (recording.t < edges[row + 1])
         given = np.isfinite(recording.z[inside][:, columns]).all(axis=1)
         still = len(given) and given.mean() > 0.5
-        if still and sensor in ("fix", "compass") and not _moves(recording, edges[row : row + 2]):
+        if still and not _is_frozen(recording, columns, edges[row : row + 2]):
             continue
         what = (
             f"{recording.called(*names)}: {'the same' if still else 'no'} {sensor} "
@@ -329,14 +339,21 @@ def check_silence(recording: Recording) -> list[Finding]:
     return found
 
 
-def _moves(recording: Recording, span: Array) -> bool:
-    """Return whether some other sensor changes by more than its noise within a span."""
-    t, compass = recording.samples("compass_rad")
-    turned = np.unwrap(compass[:, 0])[(t >= span[0]) & (t <= span[1])]
-    t, fix = recording.samples("gps_x_m", "gps_y_m")
-    near = (t >= span[0]) & (t <= span[1])
-    went = np.ptp(fix[near], axis=0).max() if near.any() else 0.0
-    return bool(went > 1.0 or (len(turned) and np.ptp(turned) > 0.1))
+def _is_frozen(recording: Recording, columns: list[int], span: Array) -> bool:
+    """Return whether a sensor that stands still does so by a fault.
+
+    It never repeats itself otherwise, or leaps where it goes on: a coarse one does neither.
+    """
+    seen = np.isfinite(recording.z[:, columns]).all(axis=1)
+    t, values = recording.t[seen], recording.z[seen][:, columns]
+    step = np.sqrt((np.diff(values, axis=0) ** 2).sum(axis=1))
+    inside = (t[1:] > span[0]) & (t[1:] < span[1])
+    others = step[~inside]
+    if not len(others) or np.mean(others == 0.0) < 0.02:
+        return bool(len(others))
+    after = step[(t[1:] >= span[1])][:1]
+    moved = others[others > 0.0]
+    return bool(len(after) and len(moved) and after[0] > 8.0 * np.median(moved))
 
 
 def check_leaps(recording: Recording) -> list[Finding]:

@@ -17,7 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.channels import MEASUREMENTS
-from twin.integrity.evidence import FLOOR, Evidence, Signals, gain, log_likelihood, touched
+from twin.integrity.evidence import (
+    BY_COMMANDS,
+    FLOOR,
+    Evidence,
+    Signals,
+    gain,
+    log_likelihood,
+    touched,
+)
 from twin.integrity.findings import ERROR, WARNING, Finding
 from twin.integrity.instruments import Measured
 from twin.logs.recording import Recording
@@ -41,11 +49,17 @@ ENOUGH_GAIN = 12.0
 FIXED_COST, FITTED_COST = 3.0, 8.0
 """Of a fault without a number, and of one with a number that is fitted."""
 
+ONE_SIDE = 25.0
+"""Cost of a fault of one side: thrusts of both are seldom even."""
+
 RIVAL = 3.0
 """A rival that explains a log so nearly as well is named beside the best."""
 
 LIKELY = 0.6
-"""What is left must shrink to this share in the comparison that says most."""
+"""What is left must shrink to this share in one comparison."""
+
+PLAIN = 0.9
+"""A fault without a number that explains so much of what a number does is preferred."""
 
 MOST = 5
 """Faults of one log, at most."""
@@ -74,6 +88,8 @@ class Hypothesis:
     shown: float = 1.0  # factor of the number, for people
     plus: float = 0.0  # what is added to it: the delay that is stated
     cost: float = 0.0  # of one that concerns several sensors at once
+    each: float = 0.0  # of one that explains each window by itself, for each
+    exact: bool = True  # whether the rows of a log are sound without it
 
 
 def _set(s: Signals, **changed: object) -> Signals:
@@ -147,7 +163,7 @@ def _of_heading() -> Iterator[Hypothesis]:
     yield Hypothesis(
         "late", "compass", "the heading comes {size} s late",
         "look for a filter of the compass; stamp samples when they are taken", at,
-        lambda s, a: s.late(a, "heading"), Scan(0.0, 0.2, _range(-0.5, 2.0, 11)), WARNING,
+        lambda s, a: s.late(a, "heading"), Scan(0.0, 0.2, _range(0.0, 2.5, 9)), WARNING,
     )  # fmt: skip
 
 
@@ -182,7 +198,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
         ):
             yield Hypothesis(
                 code, sensor, f"{columns}: {what}", f"exchange or turn them in the mapping: {AXES}",
-                names, all_of(change), cost=both,
+                names, all_of(change), cost=both + 2.0 * (code == "sign"), exact=names != ("fix",),
             )  # fmt: skip
     for factor, unit, remedy in (
         (1852.0 / 3600.0, "knots", 'unit = "kn"'),
@@ -204,7 +220,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
     yield Hypothesis(
         "unit", "velocity", "only the size of the velocity goes with the fixes: its course is no "
         "angle in radians", 'unit = "deg" for the course in the mapping', ("velocity",), _of_way,
-        cost=25.0,
+        each=1.0, exact=False,
     )  # fmt: skip
     yield Hypothesis(
         "scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
@@ -227,7 +243,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
             if len(names) > 1
             else "look for a filter in the receiver, or leave the late columns out",
             names, lambda s, a, names=names: s.late(a, *names),
-            Scan(0.0, 0.25, _range(-0.6, 3.0, 13)), WARNING, cost=2.0 * (len(names) - 1),
+            Scan(0.0, 0.25, _range(0.0, 3.0, 11)), WARNING, cost=2.0 * (len(names) - 1),
             plus=latency if len(names) > 1 else 0.0,
         )  # fmt: skip
 
@@ -332,7 +348,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
     )  # fmt: skip
     yield Hypothesis(
         "late", "gyro", "the yaw rate comes {size} s late", "stamp samples when they are taken",
-        ("gyros",), lambda s, a: s.late(a, "gyros"), Scan(0.0, 0.2, _range(-0.5, 2.0, 11)), WARNING,
+        ("gyros",), lambda s, a: s.late(a, "gyros"), Scan(0.0, 0.2, _range(0.0, 2.5, 9)), WARNING,
     )  # fmt: skip
 
 
@@ -389,10 +405,22 @@ def _of_commands() -> Iterator[Hypothesis]:
         "sign", "commands", "the shaft speeds have the wrong sign", said, at, _by("shafts", -1.0)
     )
     yield Hypothesis(
-        "sign", "left", "n_left_rps has the wrong sign", said, at, _diagonal("shafts", -1.0, 1.0)
+        "sign",
+        "left",
+        "n_left_rps has the wrong sign",
+        said,
+        at,
+        _diagonal("shafts", -1.0, 1.0),
+        cost=ONE_SIDE,
     )
     yield Hypothesis(
-        "sign", "right", "n_right_rps has the wrong sign", said, at, _diagonal("shafts", 1.0, -1.0)
+        "sign",
+        "right",
+        "n_right_rps has the wrong sign",
+        said,
+        at,
+        _diagonal("shafts", 1.0, -1.0),
+        cost=ONE_SIDE,
     )
     yield Hypothesis(
         "sides", "commands", "left and right are swapped", "exchange the two in the mapping", at,
@@ -402,7 +430,7 @@ def _of_commands() -> Iterator[Hypothesis]:
         yield Hypothesis(
             "sides", side, f"the {side} unit hardly turns the boat",
             "check this thruster, or whether its command is recorded", at,
-            _diagonal("shafts", *(float(k != j) for k in range(2))), severity=WARNING, cost=5.0,
+            _diagonal("shafts", *(float(k != j) for k in range(2))), severity=WARNING, cost=ONE_SIDE + 2.0,
         )  # fmt: skip
     yield Hypothesis(
         "sign", "steering", "the steering angle has the wrong sign: above 0 it turns to port", said,
@@ -428,8 +456,10 @@ class _Trial(NamedTuple):
     evidence: Evidence
 
 
-def _total(before: Evidence, after: Evidence) -> float:
-    return sum(gain(before[name], after[name]) for name in before)
+def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
+    """Return what a hypothesis explains; of a number, commands know little."""
+    known = () if each.scan is None else BY_COMMANDS
+    return sum(gain(before[name], after[name]) for name in before if name not in known)
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
@@ -446,14 +476,10 @@ def _at_most(base: Evidence, each: Hypothesis) -> float:
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
-    """Return whether a comparison that is made better leaves little."""
-    best = max(before, key=lambda name: gain(before[name], after[name]))
-    one, other = before[best], after[best]
-    return (
-        one is not None
-        and other is not None
-        and other.rho < LIKELY * one.rho
-        and (other.rho < LIKELY)
+    """Return whether some comparison is made much better, and leaves little."""
+    return any(
+        one is not None and other is not None and other.rho < LIKELY * min(one.rho, 1.0)
+        for one, other in ((before[name], after[name]) for name in before)
     )
 
 
@@ -463,23 +489,28 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
         after = log_likelihood(changed, each.changed, base)
-        return _total(base, after), changed, after
+        return _total(base, after, each), changed, after
 
     if each.scan is None:
         score, changed, after = at(math.nan)
-        return _Trial(each, math.nan, math.nan, score - each.cost - FIXED_COST, changed, after)
+        known = [one.count for k, one in base.items() if one and touched(k, each.changed)]
+        windows = min(known, default=0)
+        score -= each.cost + each.each * windows + FIXED_COST
+        return _Trial(each, math.nan, math.nan, score, changed, after)
     values = np.array(each.scan.values)
     scores = [at(float(value))[0] for value in values]
     best = int(np.argmax(scores))
     size, width, sd = float(values[best]), float(np.abs(np.diff(values)).max()), math.inf
     if each.scan.nominal == 1.0:
         width = 0.3 * size
-    for _ in range(4):
+    for _ in range(5):
         left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
         bend = left - 2.0 * middle + right
         if bend < 0.0:
-            sd = width / math.sqrt(-bend)
+            sd = min(sd, width / math.sqrt(-bend))
             size += min(max(0.5 * (left - right) / bend, -1.0), 1.0) * width
+        elif max(left, right) > middle:
+            size += width if right > left else -width
         width *= 0.4
     score, changed, after = at(size)
     return _Trial(each, size, sd, score - each.cost - FITTED_COST, changed, after)
@@ -488,7 +519,10 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
 def _counts(trial: _Trial) -> bool:
     """Return whether the interval of a parameter excludes its nominal value."""
     scan = trial.hypothesis.scan
-    return scan is None or abs(trial.size - scan.nominal) > max(scan.least, 4.0 * trial.sd)
+    if scan is None:
+        return True
+    inside = scan.values[0] <= trial.size <= scan.values[-1]
+    return inside and abs(trial.size - scan.nominal) > max(scan.least, 4.0 * trial.sd)
 
 
 def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
@@ -510,6 +544,9 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         best = max(likely, key=lambda trial: trial.score)
         if best.score < ENOUGH_GAIN:
             break
+        plain = [t for t in likely if t.hypothesis.scan is None and t.score > PLAIN * best.score]
+        if best.hypothesis.scan is not None and plain:
+            best = max(plain, key=lambda trial: trial.score)
         near = [
             t.hypothesis
             for t in likely
@@ -535,6 +572,11 @@ def _finding(trial: _Trial, rivals: list[Hypothesis]) -> Finding:
     return Finding(
         each.severity, each.code, what, remedy, each.sensor, size, size - half, size + half
     )
+
+
+def _columns_of(names: tuple[str, ...]) -> list[int]:
+    """Return the columns of measurements of fixes and velocity."""
+    return [j for j in range(4) if ("fix", "velocity")[j // 2] in names]
 
 
 class Undone(NamedTuple):
@@ -565,8 +607,10 @@ class Undone(NamedTuple):
         z[:, 0], z[:, 1] = rows.fix.real, rows.fix.imag
         z[:, 2], z[:, 3], z[:, 4] = rows.velocity.real, rows.velocity.imag, rows.heading
         z[:, gyros], z[:, forces], z[:, angles] = rows.gyros, rows.forces, rows.angles
-        if self.hypothesis.code != "late":
-            z[missing] = np.nan
+        if not self.hypothesis.exact:
+            missing[:, _columns_of(self.hypothesis.changed)] = True
+        whole = missing.all(axis=0) if self.hypothesis.code == "late" else missing
+        z[np.broadcast_to(whole, z.shape)] = np.nan
         return dataclasses.replace(recording, z=z, cmd=np.hstack([rows.shafts, rows.steering]))
 
 
@@ -598,13 +642,13 @@ def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
             continue
         moves = any(np.nanstd(np.abs(getattr(s, name))) > 0.0 for name in each.changed)
         after = log_likelihood(each.undo(s, math.nan), each.changed, base)
-        if moves and -_total(base, after) < ENOUGH_GAIN:
+        if moves and -_total(base, after, each) < ENOUGH_GAIN:
             found.setdefault(each.sensor, []).append(each.what)
     for each in _of_heading():
         if each.code == "offset" and each.scan is not None and s.has("heading", "fix"):
             width = each.scan.least
             turned = [
-                _total(base, log_likelihood(each.undo(s, a), each.changed, base))
+                _total(base, log_likelihood(each.undo(s, a), each.changed, base), each)
                 for a in (-width, width)
             ]
             if max(turned) > -4.0:

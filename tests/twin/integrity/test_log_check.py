@@ -1,0 +1,323 @@
+"""Each fault that is put into a sound log is named, and a sound log has none."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.twin.integrity.damaged import (
+    FAULTS,
+    FIX,
+    RUNS,
+    TILTED,
+    VELOCITY,
+    columns_of,
+    late,
+    recording,
+    scaled,
+    sound,
+    step_aside,
+    without,
+)
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.cli.logs.check_picture import draw_check
+from twin.integrity.findings import CODES, NOTE, WARNING, Finding
+from twin.integrity.log_check import LogCheck, check_log, check_recording
+from twin.logs.datasets import ship
+from twin.logs.log import Log, read_table, recorded_runs, sibling_path
+from twin.logs.recording import Recording
+from twin.particulars import Instruments, Particulars, ParticularsError
+
+
+def serious(check: LogCheck) -> set[str]:
+    """Return code and sensor of each error and warning."""
+    return {f"{f.code}:{f.sensor}" for f in check.findings if f.severity != NOTE}
+
+
+def finding(check: LogCheck, code: str) -> Finding:
+    return next(each for each in check.findings if f"{each.code}:{each.sensor}" == code)
+
+
+SOUND = (
+    ("usv75", "zigzag", 0.5),
+    ("usv75", "random", 1.0),
+    ("usv75", "straight", 0.3),
+    ("otter", "random", 0.0),
+    ("otter", "zigzag", 0.2),
+    ("wamv16", "turn", 0.2),
+    ("kvlcc2_l7", "zigzag", 0.0),
+)
+
+
+@pytest.mark.parametrize(("vessel", "scenario", "hs"), SOUND)
+def test_sound_logs_have_no_finding(vessel: str, scenario: str, hs: float) -> None:
+    log, boat = sound(vessel, scenario, hs)
+    assert serious(check_recording(recording(log), boat)) == set()
+    poor = recording(log, without(*VELOCITY, "gyro_radps", "accel_x_mps2", "accel_y_mps2"))
+    assert serious(check_recording(poor)) == set()
+
+
+@pytest.mark.parametrize(("vessel", "scenario"), [("usv75", "heading135"), ("otter", "random")])
+def test_sound_logs_of_six_degrees_have_no_finding(vessel: str, scenario: str) -> None:
+    log, boat = sound(vessel, scenario, 0.5, dof=6)
+    assert serious(check_recording(recording(log), boat)) == set()
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_named(name: str) -> None:
+    run, code, fault = FAULTS[name]
+    log, boat = sound(*RUNS[run])
+    found = serious(check_recording(recording(log, fault), boat))
+    assert code in found
+    assert {each.partition(":")[0] for each in found} == {code.partition(":")[0]}
+
+
+@pytest.mark.parametrize("name", TILTED)
+def test_a_fault_of_roll_pitch_or_heave_is_named(name: str) -> None:
+    code, fault = TILTED[name]
+    log, boat = sound("otter", "random", 0.5, dof=6)
+    assert code in serious(check_recording(recording(log, fault), boat))
+
+
+def test_a_step_aside_is_named_with_its_size_and_time() -> None:
+    log, boat = sound(*RUNS["otter"])
+    found = finding(check_recording(recording(log, step_aside), boat), "jump:fix")
+    assert found.size == pytest.approx(20.0, abs=1.5)
+    assert found.start == pytest.approx(50.0, abs=1.0)
+
+
+@settings(max_examples=6, deadline=None)
+@given(scale=st.floats(0.4, 2.5).filter(lambda s: abs(s - 1.0) > 0.2))
+def test_the_scale_of_a_gyro_lies_in_its_interval(scale: float) -> None:
+    log, boat = sound(*RUNS["usv75"])
+    found = finding(
+        check_recording(recording(log, scaled(scale, "gyro_radps")), boat), "scale:gyro"
+    )
+    assert found.size == pytest.approx(1.0 / scale, rel=0.03)
+    assert found.low < found.size < found.high
+
+
+@pytest.mark.parametrize("degrees", [-20.0, 15.0, 70.0])
+def test_a_turned_compass_is_measured_in_current(degrees: float) -> None:
+    """Legs in several directions tell it from current and leeway."""
+    log, boat = sound("otter", "random", 0.1, current=0.2)
+    fault = scaled(1.0, "compass_rad", plus=math.radians(degrees))
+    check = check_recording(recording(log, fault), boat)
+    found = finding(check, "offset:compass")
+    assert math.degrees(found.size) == pytest.approx(-degrees, abs=4.0)
+    assert serious(check) == {"offset:compass"}
+
+
+def test_one_heading_does_not_tell_whether_the_compass_is_off() -> None:
+    log, _ = sound("otter", "straight", 0.1)
+    check = check_recording(recording(log))
+    assert finding(check, "unchecked:compass").severity == NOTE
+
+
+def test_a_rival_that_explains_as_much_is_named() -> None:
+    """Without a velocity, fixes that go backwards look like a compass back to front."""
+    log, boat = sound(*RUNS["otter"])
+    fault = scaled(1.0, "compass_rad", plus=math.pi)
+    bare = recording(log, fault, without(*VELOCITY, "accel_x_mps2", "accel_y_mps2"))
+    (found,) = (f for f in check_recording(bare, boat).findings if f.severity != NOTE)
+    assert "or else" in found.remedy
+
+
+def test_codes_are_few_and_told() -> None:
+    assert len(CODES) == 20
+    codes = {code.partition(":")[0] for _, code, _ in FAULTS.values()}
+    assert codes | {code.partition(":")[0] for code, _ in TILTED.values()} <= set(CODES)
+
+
+# --- instruments ------------------------------------------------------------------------------
+
+
+def test_latency_and_noise_of_the_instruments_are_estimated() -> None:
+    log, boat = sound("usv75", "random", 1.0)
+    check = check_recording(recording(log, late(0.4, *FIX, *VELOCITY)), boat)
+    instruments = check.instruments
+    assert instruments.gps_latency == pytest.approx(0.5, abs=0.06)  # 0.1 s of its own
+    assert instruments.doppler_sd == pytest.approx(0.05, rel=0.2)
+    assert instruments.compass_sd == pytest.approx(math.radians(0.4), rel=0.1)
+    assert instruments.gyro_sd == pytest.approx(math.radians(0.05), rel=0.1)
+    assert "gps_bias_sd" not in check.reasons
+    assert instruments.gps_bias_sd == Instruments().gps_bias_sd
+
+
+def test_written_particulars_are_read_back(tmp_path: Path) -> None:
+    log, boat = sound(*RUNS["usv75"])
+    check = check_recording(recording(log), boat)
+    path = tmp_path / "boat.toml"
+    path.write_text(check.particulars_text(boat), encoding="utf-8")
+    back = Particulars.load(path)
+    assert dataclasses.replace(back, instruments=boat.instruments) == boat
+    assert back.instruments == check.instruments
+
+
+def test_unknown_particulars_are_to_be_filled_in(tmp_path: Path) -> None:
+    log, _ = sound(*RUNS["otter"])
+    path = tmp_path / "boat.toml"
+    text = check_recording(recording(log)).particulars_text()
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ParticularsError, match="length, beam, draft, mass"):
+        Particulars.load(path)
+    for key in ("length", "beam", "draft", "mass"):
+        text = text.replace(f"# {key} = ?", f"{key} = {300.0 if key == 'mass' else 1.0}")
+    path.write_text(text, encoding="utf-8")
+    assert Particulars.load(path).steering == "differential"
+
+
+# --- any rows ---------------------------------------------------------------------------------
+
+COLUMNS = (*COMMANDS, *MEASUREMENTS)
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data(), seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 400))
+def test_any_columns_give_findings(data: st.DataObject, seed: int, rows: int) -> None:
+    """Noise, constants, holes, steps and numbers of any size: no error, and a report in JSON."""
+    rng = np.random.default_rng(seed)
+    kinds: dict[str, Callable[[], np.ndarray]] = {
+        "noise": lambda: rng.standard_normal(rows),
+        "walk": lambda: np.cumsum(rng.standard_normal(rows)),
+        "constant": lambda: np.full(rows, rng.standard_normal()),
+        "zero": lambda: np.zeros(rows),
+        "ramp": lambda: np.linspace(0.0, 100.0, rows),
+        "holes": lambda: np.where(rng.random(rows) < 0.7, np.nan, rng.standard_normal(rows)),
+        "late": lambda: np.where(np.arange(rows) < 0.9 * rows, np.nan, rng.standard_normal(rows)),
+        "steps": lambda: np.repeat(rng.standard_normal(rows), 7)[:rows],
+        "huge": lambda: 1e300 * rng.standard_normal(rows),
+        "infinite": lambda: np.where(rng.random(rows) < 0.1, np.inf, rng.standard_normal(rows)),
+        "none": lambda: np.full(rows, np.nan),
+    }
+    times: dict[str, Callable[[], np.ndarray]] = {
+        "even": lambda: 0.1 * np.arange(rows),
+        "rough": lambda: np.cumsum(rng.exponential(0.2, rows)),
+        "gaps": lambda: np.cumsum(np.where(rng.random(rows) < 0.05, 40.0, 0.1)),
+        "years": lambda: np.cumsum(np.where(rng.random(rows) < 0.01, 1e9, 0.1)),
+        "back": lambda: 0.1 * np.arange(rows) + 0.5 * rng.standard_normal(rows),
+        "holes": lambda: np.where(rng.random(rows) < 0.2, np.nan, np.arange(rows)),
+    }
+    names = data.draw(st.sets(st.sampled_from(COLUMNS)))
+    table = {name: kinds[data.draw(st.sampled_from(sorted(kinds)))]() for name in sorted(names)}
+    table["t_s"] = times[data.draw(st.sampled_from(sorted(times)))]()
+    check = check_recording(Recording.of(table, {}, "any"))
+    json.dumps(check.to_json(), allow_nan=False)
+    check.particulars_text()
+    if rows > 1 and seed % 10 == 0:
+        assert draw_check(check).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["gps_x_m", "compass_rad", "gyro_radps", "accel_z_mps2"])
+def test_a_channel_of_absurd_size_gives_findings(name: str) -> None:
+    log, _ = sound("otter", "random", 0.5, dof=6)
+    check = check_recording(recording(log, scaled(1e300, name)))
+    json.dumps(check.to_json(), allow_nan=False)
+
+
+def test_a_wild_stamp_costs_no_more_than_its_row() -> None:
+    log, boat = sound(*RUNS["otter"])
+    columns = columns_of(log)
+    columns["t_s"][1000] += 1.7e9
+    found = check_recording(Recording.of(columns, {}, "log"), boat)
+    assert "time:time" in serious(found)
+    assert len(found.recording.t) == len(log) - 1
+
+
+# --- what others recorded ---------------------------------------------------------------------
+
+DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data"
+
+BOATS = {"otter_oslofjord": "otter.toml", "blueboat_trondheim": "blueboat.toml"}
+
+RECORDED = {
+    # what may be said of the runs of a folder, as their READMEs say
+    "otter_oslofjord": {"jitter", "gap", "frozen", "lost", "jump", "contradiction"},
+    "blueboat_trondheim": {"jump", "contradiction"},
+    "boat1_usv": {"jitter"},
+    "kvlcc2_simman2008": {"contradiction"},
+    "esso_osaka_frt": {"jump", "contradiction"},
+}
+
+
+def checked(folder: str, run: str, change: Callable[[dict[str, np.ndarray]], None]) -> LogCheck:
+    path = DATA / folder / f"{run}.csv.gz"
+    if not path.exists():
+        pytest.skip(f"{path} is absent: recorded runs are not part of the project")
+    table = read_table(path)
+    change(table.data)
+    boat = Particulars.load(DATA / folder / BOATS[folder]) if folder in BOATS else ship(path)
+    return check_recording(Recording.of(table.data, table.given, run, table.plane), boat)
+
+
+def runs() -> list[tuple[str, str]]:
+    names = [
+        (folder, path.name.removesuffix(".csv.gz"))
+        for folder in RECORDED
+        for path in sorted((DATA / folder).glob("*.csv.gz"))
+    ]
+    return names or [("otter_oslofjord", "any")]
+
+
+@pytest.mark.parametrize(("folder", "run"), runs())
+def test_recorded_runs_have_no_false_alarm(folder: str, run: str) -> None:
+    found = checked(folder, run, lambda data: None).findings
+    said = {each.code for each in found if each.severity != NOTE}
+    assert said <= RECORDED[folder], [each.text for each in found]
+    assert all(each.severity in (NOTE, WARNING) for each in found)
+
+
+def test_stalls_of_the_otter_are_named() -> None:
+    """Its README: the logger wrote old samples with new times."""
+    found = finding(checked("otter_oslofjord", "otter_16-07-36", lambda data: None), "frozen:rows")
+    assert found.size > 2.0
+
+
+@pytest.mark.parametrize("run", ["blueboat_223", "blueboat_225", "blueboat_234"])
+def test_swapped_sides_of_the_blueboat_are_named(run: str) -> None:
+    """Its source has left and right swapped; the runs are put right."""
+
+    def swap(data: dict[str, np.ndarray]) -> None:
+        data["n_left_rps"], data["n_right_rps"] = data["n_right_rps"], data["n_left_rps"]
+
+    assert "sides:commands" in serious(checked("blueboat_trondheim", run, swap))
+
+
+# --- the log of boat1, which comes with the package ---------------------------------------------
+
+NAME = "boat1_usv_circle"
+
+
+def test_the_packaged_log_is_read_and_checked() -> None:
+    path = recorded_runs()[NAME]
+    boat = Particulars.load(sibling_path(path, ".toml"))
+    check = check_log(path, particulars=boat)
+    assert isinstance(check.log, Log)
+    assert not [f.text for f in check.findings if f.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("code", "change"),
+    [
+        ("unit:shafts", scaled(60.0, "n_left_rps", "n_right_rps")),
+        ("sign:compass", scaled(-1.0, "compass_rad")),
+        ("axes:fixes", lambda data: data.update(gps_x_m=data["gps_y_m"], gps_y_m=data["gps_x_m"])),
+    ],
+)
+def test_faults_of_the_packaged_log_are_named(
+    code: str, change: Callable[[dict[str, np.ndarray]], None]
+) -> None:
+    path = recorded_runs()[NAME]
+    table = read_table(path)
+    change(table.data)
+    boat = Particulars.load(sibling_path(path, ".toml"))
+    found = check_recording(Recording.of(table.data, table.given, NAME, table.plane), boat)
+    assert code in serious(found)
