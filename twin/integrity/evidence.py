@@ -3,9 +3,9 @@
 All sensors are brought to an even grid. A comparison gives two signals that are equal where sensors
 and commands are sound: the way of the fixes and the integrated velocity, turns of compass and gyro,
 the velocity over ground and that along the heading, its changes and the integrated accelerometers
-turned into the earth's axes, changes of yaw rate and speed and what the commands make of them. What
-squares are left between them, over those of both, is ``rho``: 0 for equal signals, about 1 for strangers, 2
-for opposite ones. With n independent samples, its log-likelihood is ``-n/2 log rho``, whatever the
+turned into the earth's axes, changes of yaw rate and speed and what the commands make of them. The
+squares that are left between them, over those of both, are ``rho``: 0 for equal signals, about 1
+for strangers, 2 for opposite ones. With n independent samples, its log-likelihood is ``-n/2 log rho``, whatever the
 units, so those of several comparisons add up.
 
 Sources: Fossen 2021, Sec. 14.2 (strapdown equations); Bayley and Hammersley 1946 (effective number
@@ -64,8 +64,8 @@ WEIGHED_S = 5.0
 TILT = math.radians(2.0), math.radians(1.0)
 """A boat heels and trims by about the first in the mean, rad; an AHRS is off by the second."""
 
-ARC = 1.5
-"""Over a larger turn a way tells no direction, rad."""
+ARC, SLOW = 1.5, 0.2
+"""Over a larger turn a way tells no direction, rad; nor below this share of the largest speed."""
 
 HORIZONS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Times over which a command changes the motion, s; the one that explains most counts."""
@@ -349,6 +349,7 @@ def _along(s: Signals, velocity: Complex, rows: Array, width: int) -> tuple[Comp
     turned = np.gradient(heading)
     # the way of a boat that turns on the spot tells no direction
     ok = np.isfinite(velocity) & (np.abs(turned) < ARC)
+    ok &= np.abs(velocity) > SLOW * np.fmax.reduce(np.abs(velocity), initial=0.0)
     fitted = np.full(len(velocity), np.nan, dtype=np.complex128)
     if ok.sum() < ENOUGH // 2:
         return velocity, fitted
@@ -553,6 +554,8 @@ def _surging(s: Signals) -> tuple[Array, Array]:
     rows = np.arange(width // 2 * 2, len(s.t), width)[: len(way)]
     heading = _mean(s.heading, width)[rows]
     ahead = (way[: len(rows)] * np.exp(-1j * heading)).real
+    if len(heading) > 1:
+        ahead[np.abs(np.gradient(heading)) > ARC] = np.nan
     force = s.shafts * np.abs(s.shafts)
     middle = (
         _mean(force.sum(axis=1), width)[rows[0] + width // 2 :: width]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from twin.integrity.rows import SENSORS, fix_scatter, speed_of
+from twin.integrity.rows import HUGE, SENSORS, fix_scatter, speed_of
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
@@ -49,7 +49,11 @@ def noise_of(recording: Recording) -> dict[str, float]:
         t, values = recording.samples(*names)
         if sensor == "compass":
             values = np.unwrap(values, axis=0)
-        squares = [white_noise(t, column) ** 2 for column in values.T] if len(t) >= ENOUGH else []
+        squares = (
+            [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
+            if len(t) >= ENOUGH
+            else []
+        )
         found[sensor] = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
     return found
 

@@ -22,6 +22,7 @@ from twin.channels import MEASUREMENTS
 from twin.integrity.evidence import Evidence, Signals, log_likelihood, signals_of
 from twin.integrity.findings import ERROR, NOTE, SEVERITIES, WARNING, Finding
 from twin.integrity.instruments import (
+    Measured,
     estimate_instruments,
     noise_of,
     particulars_text,
@@ -220,46 +221,52 @@ def check_recording(recording: Recording, particulars: Particulars | None = None
     particulars : Particulars, optional
         Of the boat.
     """
-    recording, found = without_marks(recording)
-    found += check_time(recording) + check_cells(recording)
-    few = len(recording.t) < 3 * ENOUGH
-    kept = recording if few else _without_false_fixes(recording)
-    evidence: Evidence = {}
-    instruments, reasons = (particulars and particulars.instruments) or Instruments(), {}
-    noise = {name: math.nan for name in NOISE}
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of columns that are empty for a while
-        if not few:
-            found += check_silence(recording) + check_leaps(recording)
-            kept = _without_spans(kept, found)
-            noise = noise_of(kept)
-            kept, more, signals, undone = _mended(kept, found, particulars)
-            found += more
-            if signals is not None:
-                evidence = log_likelihood(signals)
-                found += _unknown(signals, evidence, more)
-            measured = {} if signals is None else {
-                "gps_latency": gps_delay(signals), "gyro_bias_sd": gyro_bias(signals)
-            }  # fmt: skip
-            instruments, reasons = estimate_instruments(kept, noise, measured, particulars)
-            units = any(each.code == "unit" and each.sensor in DRIVES for each in more)
-            found += _doubted(kept, undone, instruments, particulars, not units)
-    order = sorted(_once(found), key=lambda finding: SEVERITIES.index(finding.severity))
-    figures = [
-        SensorFigures(name, rate, noise.get(name, math.nan) * scale, unit if rate else "")
-        for name, rate in sensor_rates(recording).items()
-        for unit, scale in [NOISE.get(name, ("", 1.0))]
-    ]
+        return _check(recording, particulars)
+
+
+def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
+    recording, found = without_marks(recording)
+    found += check_time(recording) + check_cells(recording)
+    if len(recording.t) < 3 * ENOUGH:
+        base = Instruments() if particulars is None else particulars.instruments
+        noise = dict.fromkeys(NOISE, math.nan)
+        return LogCheck(_sorted(found), _figures(recording, noise), {}, base, {}, recording)
+    found += check_silence(recording) + check_leaps(recording)
+    kept = _without_spans(_without_false_fixes(recording), found)
+    noise = noise_of(kept)
+    kept, more, signals, undone = _mended(kept, found, particulars)
+    found += more
+    measured: dict[str, Measured | None] = {}
+    evidence: Evidence = {}
+    if signals is not None:
+        evidence = log_likelihood(signals)
+        found += _unknown(signals, evidence, more)
+        delay, taken = gps_delay(signals), sum(each.delay for each in undone)
+        if delay is not None:
+            measured["gps_latency"] = Measured(delay.value + taken, delay.sd)
+        measured["gyro_bias_sd"] = gyro_bias(signals)
+    instruments, reasons = estimate_instruments(kept, noise, measured, particulars)
+    units = any(each.code == "unit" and each.sensor in DRIVES for each in more)
+    found += _doubted(kept, undone, instruments, particulars, not units)
     agreed = {name: max(1.0 - one.rho, 0.0) for name, one in evidence.items() if one is not None}
-    return LogCheck(tuple(order), tuple(figures), agreed, instruments, reasons, kept)
+    return LogCheck(_sorted(found), _figures(recording, noise), agreed, instruments, reasons, kept)
 
 
-def _once(found: Sequence[Finding]) -> list[Finding]:
-    """Return the first finding of each code and sensor."""
-    first: dict[tuple[str, str, str], Finding] = {}
-    for finding in found:
-        first.setdefault((finding.code, finding.sensor, finding.what), finding)
-    return list(first.values())
+def _figures(recording: Recording, noise: dict[str, float]) -> tuple[SensorFigures, ...]:
+    """Return rate and noise of each sensor."""
+    figures = []
+    for name, rate in sensor_rates(recording).items():
+        unit, scale = NOISE.get(name, ("", 1.0))
+        size = noise.get(name, math.nan) * scale
+        figures.append(SensorFigures(name, rate, size, unit if rate else ""))
+    return tuple(figures)
+
+
+def _sorted(found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings, each once, errors first."""
+    return tuple(sorted(dict.fromkeys(found), key=lambda each: SEVERITIES.index(each.severity)))
 
 
 def _without_false_fixes(recording: Recording) -> Recording:

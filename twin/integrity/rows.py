@@ -1,4 +1,4 @@
-"""Exact rules for the rows of a log: stamps, cells, repetition, leaps, kind and unit of commands."""
+"""Exact rules for the rows of a log: stamps, cells, repetition, leaps, kind of commands."""
 
 from __future__ import annotations
 
@@ -63,6 +63,9 @@ STALE_S, DEAD_S = 0.5, 10.0
 """All sensors never repeat themselves at once for longer than the first; none does alone for longer
 than the second."""
 
+JUMPS = {"fix": 2.0, "velocity": 0.3, "compass": 0.1, "gyro": 0.05, "accelerometers": 0.1}
+"""Least leap of a sensor that goes on after it stood still: m, m/s, rad, rad/s, m/s2."""
+
 MARKS = (999.0, 9999.0, 99999.0, 999999.0)
 """Programs write these numbers, of either sign, where there is no value."""
 
@@ -77,6 +80,9 @@ SPIKE_M, SPIKE_ROWS = 2.0, 11
 
 STAMPS_S = 0.03
 """Stamps of fixes that jitter by more are worth a word."""
+
+HUGE = 1e100
+"""No scatter is larger."""
 
 SAILS_M = 20.0
 """A boat that goes farther sails."""
@@ -210,7 +216,7 @@ def fix_scatter(t: Array, fix: Array) -> tuple[float, float, float]:
     ahead = way[fast] / length[fast, None]
     along = robust_sd((left[fast] * ahead).sum(axis=1))
     across = robust_sd(left[fast, 1] * ahead[:, 0] - left[fast, 0] * ahead[:, 1])
-    return along, across, float(np.median(speed[fast]))
+    return min(along, HUGE), min(across, HUGE), float(np.median(speed[fast]))
 
 
 def check_cells(recording: Recording) -> list[Finding]:
@@ -323,7 +329,7 @@ def check_silence(recording: Recording) -> list[Finding]:
         inside = (recording.t > edges[row]) & (recording.t < edges[row + 1])
         given = np.isfinite(recording.z[inside][:, columns]).all(axis=1)
         still = len(given) and given.mean() > 0.5
-        if still and not _is_frozen(recording, columns, edges[row : row + 2]):
+        if still and not _is_frozen(recording, sensor, columns, edges[row : row + 2]):
             continue
         what = (
             f"{recording.called(*names)}: {'the same' if still else 'no'} {sensor} "
@@ -339,7 +345,7 @@ def check_silence(recording: Recording) -> list[Finding]:
     return found
 
 
-def _is_frozen(recording: Recording, columns: list[int], span: Array) -> bool:
+def _is_frozen(recording: Recording, sensor: str, columns: list[int], span: Array) -> bool:
     """Return whether a sensor that stands still does so by a fault.
 
     It never repeats itself otherwise, or leaps where it goes on: a coarse one does neither.
@@ -349,11 +355,12 @@ def _is_frozen(recording: Recording, columns: list[int], span: Array) -> bool:
     step = np.sqrt((np.diff(values, axis=0) ** 2).sum(axis=1))
     inside = (t[1:] > span[0]) & (t[1:] < span[1])
     others = step[~inside]
-    if not len(others) or np.mean(others == 0.0) < 0.02:
+    if not len(others) or (np.mean(others == 0.0) < 0.02 and span[1] - span[0] > DEAD_S / 2.0):
         return bool(len(others))
     after = step[(t[1:] >= span[1])][:1]
     moved = others[others > 0.0]
-    return bool(len(after) and len(moved) and after[0] > 8.0 * np.median(moved))
+    least = JUMPS.get(sensor, 0.0)
+    return bool(len(after) and len(moved) and after[0] > max(least, 8.0 * np.median(moved)))
 
 
 def check_leaps(recording: Recording) -> list[Finding]:

@@ -264,7 +264,7 @@ _FORCES = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 
 
 def _of_imu(full: bool) -> Iterator[Hypothesis]:
-    """Return faults of gyros and accelerometers; of all three axes, or only of what a boat needs."""
+    """Return faults of gyros and accelerometers: of all three axes, or of those that a boat needs."""
     sensors = (
         ("gyros", "gyro", _GYROS, ((DEGREE, "degrees per second", 'unit = "degps"'),
                                    (1e-3, "mrad/s", "scale = 0.001"))),
@@ -280,7 +280,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
             more = 2.0 * (len(group) - 1)
             factors = [*((factor, "unit", f"{given} in {unit}", f"{remedy} in the mapping")
                          for factor, unit, remedy in units),
-                       (-1.0, "sign", f"{given}: wrong sign", "scale = -1.0 in the mapping")]  # fmt: skip
+                       (-1.0, "sign", f"{given}: wrong sign", "scale = -1.0 there")]  # fmt: skip
             for factor, code, what, remedy in factors:
                 by = [factor if j in group else 1.0 for j in range(3)]
                 yield Hypothesis(
@@ -344,7 +344,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
         "bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
         "offset = {value} for gyro_radps in the mapping, with the other sign", ("gyros",),
         lambda s, a: _set(s, gyros=s.gyros - np.array([0.0, 0.0, a])),
-        Scan(0.0, 0.01, _range(-0.3, 0.3, 13)), WARNING,
+        Scan(0.0, 0.01, _range(-0.3, 0.3, 13)), WARNING, exact=False,
     )  # fmt: skip
     yield Hypothesis(
         "late", "gyro", "the yaw rate comes {size} s late", "stamp samples when they are taken",
@@ -430,7 +430,8 @@ def _of_commands() -> Iterator[Hypothesis]:
         yield Hypothesis(
             "sides", side, f"the {side} unit hardly turns the boat",
             "check this thruster, or whether its command is recorded", at,
-            _diagonal("shafts", *(float(k != j) for k in range(2))), severity=WARNING, cost=ONE_SIDE + 2.0,
+            _diagonal("shafts", *(float(k != j) for k in range(2))), severity=WARNING,
+            cost=ONE_SIDE + 2.0,
         )  # fmt: skip
     yield Hypothesis(
         "sign", "steering", "the steering angle has the wrong sign: above 0 it turns to port", said,
@@ -526,7 +527,7 @@ def _counts(trial: _Trial) -> bool:
 
 
 def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
-    """Return the faults that explain signals best, the signals without them, and what undoes them."""
+    """Return the faults that explain signals best, the signals without them, what undoes them."""
     base = log_likelihood(s)
     table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
     while len(found) < MOST:
@@ -555,7 +556,10 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         found.append(_finding(best, near))
         undone.append(Undone(best.hypothesis, best.size))
         s, base = best.signals, best.evidence
-        table = [each for each in table if each is not best.hypothesis]
+        if best.hypothesis.each > 0.0:  # what is not known of them cannot be held against others
+            s = _set(s, **{name: getattr(s, name) * math.nan for name in best.hypothesis.changed})
+            base = log_likelihood(s)
+        table = [each for each in hypotheses(s) if each.what != best.hypothesis.what]
     return found, s, undone
 
 
@@ -574,9 +578,8 @@ def _finding(trial: _Trial, rivals: list[Hypothesis]) -> Finding:
     )
 
 
-def _columns_of(names: tuple[str, ...]) -> list[int]:
-    """Return the columns of measurements of fixes and velocity."""
-    return [j for j in range(4) if ("fix", "velocity")[j // 2] in names]
+_ROWS = {"fix": (0, 1), "velocity": (2, 3), "heading": (4,), "gyros": (5,), "forces": (6, 7)}
+"""Columns of the measurements that the checks on board use."""
 
 
 class Undone(NamedTuple):
@@ -584,6 +587,12 @@ class Undone(NamedTuple):
 
     hypothesis: Hypothesis
     size: float
+
+    @property
+    def delay(self) -> float:
+        """Of the GPS that was taken out, s."""
+        of_gps = self.hypothesis.code == "late" and self.hypothesis.sensor == "gps"
+        return self.size if of_gps else 0.0
 
     def on_rows(self, recording: Recording) -> Recording:
         """Return a recording without it."""
@@ -608,7 +617,8 @@ class Undone(NamedTuple):
         z[:, 2], z[:, 3], z[:, 4] = rows.velocity.real, rows.velocity.imag, rows.heading
         z[:, gyros], z[:, forces], z[:, angles] = rows.gyros, rows.forces, rows.angles
         if not self.hypothesis.exact:
-            missing[:, _columns_of(self.hypothesis.changed)] = True
+            unknown = [j for name in self.hypothesis.changed for j in _ROWS.get(name, ())]
+            missing[:, unknown] = True
         whole = missing.all(axis=0) if self.hypothesis.code == "late" else missing
         z[np.broadcast_to(whole, z.shape)] = np.nan
         return dataclasses.replace(recording, z=z, cmd=np.hstack([rows.shafts, rows.steering]))
@@ -651,6 +661,6 @@ def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
                 _total(base, log_likelihood(each.undo(s, a), each.changed, base), each)
                 for a in (-width, width)
             ]
-            if max(turned) > -4.0:
+            if max(turned) > -ENOUGH_GAIN:
                 found.setdefault("compass", []).append("it is off by a constant angle")
     return found

@@ -6,9 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from twin.health.monitor import SensorStatus
-from twin.logs.diagnosis.diagnose import diagnose
-from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 
 from twin import Log, Particulars, Prediction, Twin
 from twin.benchmark.trust import (
@@ -29,11 +26,14 @@ from twin.benchmark.trust_answers import (
     parameter_answer,
     sensor_answer,
     speed_ratio,
-    unknown_offset,
     with_parameters_in_use,
 )
 from twin.cli.logs.judge_picture import draw_verdict
 from twin.identification.data_weight import CHOSEN, PRIOR
+from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
+from twin.integrity.log_check import check_recording
+from twin.integrity.monitor import SensorStatus
+from twin.logs.recording import Recording
 from twin.motion.tilt_meter import TiltScore
 from twin.predictors.base import ParametersInUse
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -312,26 +312,26 @@ def test_findings_of_the_log_check_colour_the_sensors(boat: Particulars, log: Lo
 
 
 def test_findings_are_said_in_words_sorted_by_consequence() -> None:
-    late = [Finding(WARNING, code, f"{code} in words", "") for code in ("time-jitter", "fix-lost")]
-    offset = Finding(WARNING, "compass-offset", "compass is off", "")
-    moment = Finding(WARNING, "gyro-compass", "gyro disagrees", "")
-    error = Finding(ERROR, "shaft-unit", "wrong unit", "")
+    late = [Finding(WARNING, code, f"{code} in words", "") for code in ("jitter", "lost")]
+    offset = Finding(WARNING, "offset", "compass is off", "", "compass")
+    moment = Finding(WARNING, "contradiction", "gyro disagrees", "", "gyro")
+    error = Finding(ERROR, "unit", "wrong unit", "", "shafts")
     said = sensor_answer([*late, moment, offset]).text
     assert said == "compass is off; gyro disagrees; and 2 more: see usv-twin log check"
     said = sensor_answer([*late, moment, offset, error]).text
     assert said == "wrong unit; compass is off; and 3 more: see usv-twin log check"
-    assert sensor_answer(late[:1]).text == "time-jitter in words; see usv-twin log check"
+    assert sensor_answer(late[:1]).text == "jitter in words; see usv-twin log check"
 
 
 def test_an_unknown_compass_offset_is_said(boat: Particulars, log: Log) -> None:
     def said(until: float) -> tuple[Answer, list[Finding]]:
         some = log.slice(0.0, until)
-        found = diagnose(Recording(some.t, some.z, some.cmd, some.t), boat)
-        return sensor_answer([*found.findings, *unknown_offset(found)]), unknown_offset(found)
+        found = check_recording(Recording(some.t, some.z, some.cmd, some.t), boat).findings
+        unknown = [f for f in found if f.code == "unchecked" and f.sensor == "compass"]
+        return sensor_answer(found), unknown
 
     answer, unknown = said(20.0)
     assert len(unknown) == 1 and unknown[0].what in answer.text
-    assert "compass offset: cannot tell from this track" in answer.text
     assert answer.colour == GREEN, answer.text
     assert said(150.0)[1] == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -10,14 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
-from twin.logs.diagnosis.findings import ERROR, Finding, Recording, clashing_rows
 from typer.testing import CliRunner
 
 from twin.cli.main import app
 from twin.logs.errors import LogError
-from twin.logs.log import Log, read_table, recorded_runs, sibling_path
-from twin.particulars import Particulars
+from twin.logs.log import Log
+from twin.logs.recording import clashing_rows
 
 HEAD = "time,lat,lon,heading_deg,rpm_left,rpm_right"
 NAME = "boat1_usv_circle"
@@ -155,63 +152,3 @@ def test_one_of_two_sides_is_missed_when_left_out(tmp_path: Path) -> None:
     lines = [line for line in mapping.read_text().splitlines() if "n_right_rps" not in line]
     mapping.write_text("\n".join(lines).replace("n_left_rps", "n_rps"))
     assert any("servo1, servo3: left and right by their names" in n for n in Log.read(path).notes)
-
-
-# --- particulars --------------------------------------------------------------------------------
-
-
-def diagnosed(boat: Particulars, shaft: float = 1.0, jitter: float = 0.0) -> Diagnosis:
-    path = recorded_runs()[NAME]
-    table = read_table(path)
-    recording = Recording.of(table.data, table.given, table.name, table.plane)
-    z, cmd = recording.z.copy(), recording.cmd.copy()
-    cmd[:, :2] *= shaft
-    if jitter:
-        t, rng = recording.t, np.random.default_rng(1)
-        moved = t + jitter * rng.standard_normal(len(t))
-        for j in (0, 1):
-            known = np.isfinite(z[:, j])
-            z[known, j] = np.interp(moved[known], t[known], z[known, j])
-    return diagnose(dataclasses.replace(recording, z=z, cmd=cmd), boat)
-
-
-def finding(found: Diagnosis, code: str) -> Finding:
-    return next(each for each in found.findings if each.code == code)
-
-
-def boat() -> Particulars:
-    return Particulars.load(sibling_path(recorded_runs()[NAME], ".toml"))
-
-
-@pytest.mark.parametrize(
-    ("share", "covered"), [(0.5, False), (0.9, False), (1.0, True), (9.0, True)]
-)
-def test_gps_noise_that_is_covered_is_not_to_be_raised(share: float, covered: bool) -> None:
-    with_sd = dataclasses.replace(boat().instruments, gps_sd=1e-3)
-    low = finding(
-        diagnosed(dataclasses.replace(boat(), instruments=with_sd), jitter=0.15), "fix-stamps"
-    )
-    scatter = max(low.evidence["along"], low.evidence["across"])
-    with_sd = dataclasses.replace(with_sd, gps_sd=share * scatter)
-    text = finding(
-        diagnosed(dataclasses.replace(boat(), instruments=with_sd), jitter=0.15), "fix-stamps"
-    ).remedy
-    assert ("raise gps_sd" not in text) == covered
-    assert ("covers it" in text) == covered
-
-
-@pytest.mark.parametrize(
-    ("change", "factor"),
-    [
-        ({"shaft_speed": 60.0}, 1.0),
-        ({"shaft_speed": 1.0 / 60.0}, 1.0),
-        ({"length": 3.0, "mass": 3.0, "speed": 100.0}, 1.0),
-    ],
-)
-def test_wrong_particulars_are_among_the_remedies(change: dict[str, float], factor: float) -> None:
-    good = boat()
-    values = {name: value * getattr(good, name) for name, value in change.items()}
-    found = diagnosed(dataclasses.replace(good, **values), factor)
-    wrong = [each for each in found.findings if each.code in ("shaft-unit", "shaft-speed")]
-    assert wrong and "in the particulars" in wrong[0].remedy
-    assert wrong[0].severity == ERROR or wrong[0].code == "shaft-speed"
