@@ -5,8 +5,8 @@ and commands are sound: the way of the fixes and the integrated velocity, turns 
 the velocity over ground and that along the heading, its changes and the integrated accelerometers
 turned into the earth's axes, changes of yaw rate and speed and what the commands make of them. The
 squares that are left between them, over those of both, are ``rho``: 0 for equal signals, about 1
-for strangers, 2 for opposite ones. With n independent samples, its log-likelihood is ``-n/2 log rho``, whatever the
-units, so those of several comparisons add up.
+for strangers, 2 for opposite ones. With n independent samples, the log-likelihood is
+``-n/2 log rho``, whatever the units, so those of several comparisons add up.
 
 Sources: Fossen 2021, Sec. 14.2 (strapdown equations); Bayley and Hammersley 1946 (effective number
 of correlated samples); Huber 1964 (bounded influence).
@@ -18,7 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -182,9 +182,9 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
         gyros[:, :2] = 0.0
     if not np.isfinite(forces[:, 2]).any():
         forces[:, 2] = -GRAVITY
-    given = instruments or Instruments()
-    if given.imu_mounting != (0.0, 0.0, 0.0):
-        turn = np.array(rotation(given.imu_mounting))
+    stated = instruments or Instruments()
+    if stated.imu_mounting != (0.0, 0.0, 0.0):
+        turn = np.array(rotation(stated.imu_mounting))
         gyros, forces = gyros @ turn.T, forces @ turn.T
     t_fix, fix = samples["fix"]
     signals = Signals(
@@ -202,9 +202,9 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
         held[:, 2:],
         intervals,
         ways(t_fix, fix)[2] if len(t_fix) > ENOUGH else 2.0,
-        latency=given.gps_latency,
+        latency=stated.gps_latency,
     )
-    signals = signals.late(given.gps_latency, "fix", "velocity")
+    signals = signals.late(stated.gps_latency, "fix", "velocity")
     shares = {horizon: _share(*_turns_by(signals, horizon)) for horizon in HORIZONS_S}
     best = max(shares, key=lambda horizon: shares[horizon])
     return dataclasses.replace(signals, horizon_s=best if shares[best] > 0.0 else 0.0)
@@ -229,11 +229,11 @@ class Comparison(NamedTuple):
     """Squares that are left, over those of both."""
     independent: float
     """Samples of what is left that are independent, of ..."""
-    count: int
+    samples: int
     """... so many."""
 
 
-def compare(x: npt.NDArray[np.number], y: npt.NDArray[np.number]) -> Comparison | None:
+def compare(x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Comparison | None:
     """Return how well two signals (n,) agree, by Huber's weights; None where they are too few."""
     ok = np.isfinite(x) & np.isfinite(y)
     if ok.sum() < ENOUGH // 2:
@@ -263,7 +263,7 @@ def gain(before: Comparison | None, after: Comparison | None) -> float:
 # --- the comparisons --------------------------------------------------------------------------
 
 
-def _mean(values: npt.NDArray[np.number], count: int) -> npt.NDArray[np.number]:
+def _mean(values: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
     """Return means over so many steps around each; NaN where some are missing."""
     lost = np.isnan(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(lost, 0.0, values))])
@@ -277,15 +277,17 @@ def _mean(values: npt.NDArray[np.number], count: int) -> npt.NDArray[np.number]:
     return found
 
 
-def _sum(values: npt.NDArray[np.number], step: float) -> npt.NDArray[np.number]:
+def _sum(values: npt.NDArray[Any], step: float) -> npt.NDArray[Any]:
     """Return the integral of signals; NaN where they are missing."""
     lost = np.isnan(values)
-    total = np.asarray(integrated(step * np.arange(len(values)), np.where(lost, 0.0, values)))
+    even: npt.NDArray[Any] = np.where(lost, 0.0, values)
+    t: Array = np.asarray(step * np.arange(len(values)), np.float64)
+    total = np.asarray(integrated(t, even))
     total[lost] = np.nan
     return total
 
 
-def _changes(values: npt.NDArray[np.number], width: int, order: int = 1) -> npt.NDArray[np.number]:
+def _changes(values: npt.NDArray[Any], width: int, order: int = 1) -> npt.NDArray[Any]:
     """Return changes of means over half a width from each width to the next."""
     means = _mean(values, max(width // 2, 1))[width // 2 :: width]
     return np.diff(means, n=order)
@@ -336,7 +338,9 @@ def _turns(s: Signals) -> tuple[Array, Array]:
     return x, y - min(max(bias, -bound), bound)
 
 
-def _along(s: Signals, velocity: Complex, rows: Array, width: int) -> tuple[Complex, Complex]:
+def _along(
+    s: Signals, velocity: npt.NDArray[Any], rows: npt.NDArray[Any], width: int
+) -> tuple[Complex, Complex]:
     """Return a velocity over ground, and that of a boat which goes as it points and is commanded.
 
     Its speed ahead is free; in turns it drifts in proportion to the yaw rate; the current is one.

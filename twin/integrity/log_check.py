@@ -296,7 +296,8 @@ def _without_spans(recording: Recording, found: list[Finding]) -> Recording:
         columns = SENSORS_OF.get(finding.sensor, (finding.sensor,))
         if finding.code == "frozen" and columns[0] in MEASUREMENTS:
             inside = (recording.t > finding.start) & (recording.t <= finding.end)
-            z[np.ix_(inside, [MEASUREMENTS.index(name) for name in columns])] = np.nan
+            for name in columns:
+                z[inside, MEASUREMENTS.index(name)] = np.nan
     return dataclasses.replace(recording, z=z)
 
 
@@ -387,7 +388,9 @@ def _rows(recording: Recording, undone: list[Undone]) -> Recording:
                   MEASUREMENTS[6:8]):  # fmt: skip
         columns = [MEASUREMENTS.index(name) for name in names]
         at, values = recording.samples(*names)
-        z[np.ix_(rows[np.isin(recording.t, at)], columns)] = values
+        inside = rows[np.isin(recording.t, at)]
+        for j, column in zip(columns, values.T, strict=True):
+            z[inside, j] = column
     rest = slice(8, len(MEASUREMENTS))
     z[:, rest] = recording.z[:, rest]
     rows_of = dataclasses.replace(recording, z=z)
@@ -406,10 +409,11 @@ def _upright(recording: Recording) -> Recording:
     needed = ("ahrs_roll_rad", "ahrs_pitch_rad", "gyro_y_radps", "accel_z_mps2")
     if not all(np.isfinite(z[:, at[name]]).sum() > 5 * ENOUGH for name in needed):
         return recording
-    roll, pitch = (
-        np.interp(recording.t, *(each[:, 0] if each.ndim > 1 else each for each in pair))
-        for pair in (recording.samples(name) for name in needed[:2])
-    )
+    angles = []
+    for name in needed[:2]:
+        times, values = recording.samples(name)
+        angles.append(np.interp(recording.t, times, values[:, 0]))
+    roll, pitch = angles
     q, r = z[:, at["gyro_y_radps"]], z[:, at["gyro_radps"]]
     x, y, low = (z[:, at[f"accel_{axis}_mps2"]] for axis in "xyz")
     down = y * np.sin(roll) + low * np.cos(roll)

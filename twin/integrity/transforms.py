@@ -43,6 +43,9 @@ __all__ = [
 
 DEGREE = math.pi / 180.0
 
+Undo = Callable[[Signals, float], Signals]
+"""Returns signals without a fault, of a size."""
+
 ENOUGH_GAIN = 12.0
 """Log-likelihood, beyond what a fault costs, from which on it is one."""
 
@@ -82,7 +85,7 @@ class Hypothesis:
     what: str  # with {size} where it has a number
     remedy: str
     changed: tuple[str, ...]  # the signals that it changes
-    undo: Callable[[Signals, float], Signals]
+    undo: Undo
     scan: Scan | None = None
     severity: str = ERROR
     shown: float = 1.0  # factor of the number, for people
@@ -96,18 +99,49 @@ def _set(s: Signals, **changed: object) -> Signals:
     return dataclasses.replace(s, **changed)  # type: ignore[arg-type]
 
 
-def _by(name: str, factor: complex) -> Callable[[Signals, float], Signals]:
+def _by(name: str, factor: complex) -> Undo:
     """Return what multiplies a signal."""
     return lambda s, _: _set(s, **{name: getattr(s, name) * factor})
 
 
-def _columns(name: str, matrix: list[list[float]]) -> Callable[[Signals, float], Signals]:
+def _columns(name: str, matrix: list[list[float]]) -> Undo:
     """Return what makes columns of others."""
     return lambda s, _: _set(s, **{name: getattr(s, name) @ np.array(matrix).T})
 
 
-def _diagonal(name: str, *factors: float) -> Callable[[Signals, float], Signals]:
+def _diagonal(name: str, *factors: float) -> Undo:
     return lambda s, _: _set(s, **{name: getattr(s, name) * np.array(factors)})
+
+
+def _from(angle: float, gyros: float = 1.0) -> Undo:
+    """Return what makes a heading of one that counts from an angle, to port."""
+    by = np.array([1.0, 1.0, gyros])
+    return lambda s, _: _set(s, heading=angle - s.heading, gyros=s.gyros * by)
+
+
+def _late(*names: str) -> Undo:
+    return lambda s, seconds: s.late(seconds, *names)
+
+
+def _turned(a: int, b: int, *names: str) -> Undo:
+    """Return what turns columns a and b of sensors back."""
+
+    def undo(s: Signals, angle: float) -> Signals:
+        for name in names:
+            s = _turn(s, angle, name, a, b)
+        return s
+
+    return undo
+
+
+def _scaled_gyro(j: int) -> Undo:
+    return lambda s, a: _set(s, gyros=s.gyros * np.where(np.arange(3) == j, a, 1.0))
+
+
+def _with_rate(signs: list[float]) -> Undo:
+    """Return what turns the sign of an angle and of its rate."""
+    both = np.array(signs)
+    return lambda s, _: _set(s, gyros=s.gyros * both, angles=s.angles * both[:2])
 
 
 def _range(first: float, last: float, count: int) -> tuple[float, ...]:
@@ -133,14 +167,12 @@ def _of_heading() -> Iterator[Hypothesis]:
     for angle, side in ((0.5 * math.pi, "east"), (-0.5 * math.pi, "west")):
         yield Hypothesis(
             "axes", "compass", f"the heading counts from {side}, counter-clockwise", FRAME, at,
-            lambda s, _, a=angle: _set(s, heading=a - s.heading),
+            _from(angle),
         )  # fmt: skip
         yield Hypothesis(
             "axes", "compass", f"heading and yaw rate count from {side}, counter-clockwise", FRAME,
             ("heading", "gyros"),
-            lambda s, _, a=angle: _diagonal("gyros", 1.0, 1.0, -1.0)(
-                _set(s, heading=a - s.heading), 0.0
-            ),
+            _from(angle, -1.0),
             cost=2.0,
         )  # fmt: skip
     yield Hypothesis(
@@ -187,7 +219,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
 
         def all_of(
             change: Callable[[np.ndarray], np.ndarray], names: tuple[str, ...] = names
-        ) -> Callable[[Signals, float], Signals]:
+        ) -> Undo:
             return lambda s, _: _set(s, **{name: change(getattr(s, name)) for name in names})
 
         for code, what, change in (
@@ -242,7 +274,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
             "late", sensor, said, "gps_latency = {value} in [instruments] of the particulars"
             if len(names) > 1
             else "look for a filter in the receiver, or leave the late columns out",
-            names, lambda s, a, names=names: s.late(a, *names),
+            names, _late(*names),
             Scan(0.0, 0.25, _range(0.0, 3.0, 11)), WARNING, cost=2.0 * (len(names) - 1),
             plus=latency if len(names) > 1 else 0.0,
         )  # fmt: skip
@@ -264,7 +296,7 @@ _FORCES = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 
 
 def _of_imu(full: bool) -> Iterator[Hypothesis]:
-    """Return faults of gyros and accelerometers: of all three axes, or of those that a boat needs."""
+    """Return faults of gyros and accelerometers, of all three axes or of those a boat needs."""
     sensors = (
         ("gyros", "gyro", _GYROS, ((DEGREE, "degrees per second", 'unit = "degps"'),
                                    (1e-3, "mrad/s", "scale = 0.001"))),
@@ -272,7 +304,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
     )  # fmt: skip
     for name, sensor, columns, units in sensors:
         own = (0, 1, 2) if full else (2,) if name == "gyros" else (0, 1)
-        groups = [(j,) for j in own]
+        groups: list[tuple[int, ...]] = [(j,) for j in own]
         if len(own) > 1:
             groups += [(0, 1), own] if full else [own]
         for group in groups:
@@ -302,7 +334,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
             yield Hypothesis(
                 "axes", sensor, f"{columns[0]}, {columns[1]}: turned by {{size}} degrees",
                 "turn them back, or state imu_mounting in the particulars", (name,),
-                lambda s, a, name=name: _turn(s, a, name),
+                _turned(0, 1, name),
                 Scan(0.0, math.radians(20.0 if full else 45.0), _range(-3.0, 3.0, 13)), ERROR,
                 1.0 / DEGREE,
             )  # fmt: skip
@@ -312,7 +344,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
                 "axes", "imu", f"the IMU is turned by {{size}} degrees about its {about} axis, or "
                 "the boat lies so", f"imu_mounting: {name} = {{value}} rad in [instruments] of the "
                 "particulars", ("gyros", "forces"),
-                lambda s, x, a=a, b=b: _turn(_turn(s, x, "gyros", a, b), x, "forces", a, b),
+                _turned(a, b, "gyros", "forces"),
                 Scan(0.0, math.radians(4.5), _range(-1.2, 1.2, 9)), WARNING, 1.0 / DEGREE,
             )  # fmt: skip
         yield Hypothesis(
@@ -337,7 +369,7 @@ def _of_imu(full: bool) -> Iterator[Hypothesis]:
         yield Hypothesis(
             "scale", "gyro", f"{column} is {{size}} times too small",
             f"scale = {{value}} for {column} in the mapping", ("gyros",),
-            lambda s, a, j=j: _diagonal("gyros", *(a if k == j else 1.0 for k in range(3)))(s, a),
+            _scaled_gyro(j),
             Scan(1.0, 0.1 if j == 2 else 0.3, _SCALES), WARNING,
         )  # fmt: skip
     yield Hypothesis(
@@ -372,9 +404,7 @@ def _of_tilt() -> Iterator[Hypothesis]:
         )  # fmt: skip
         yield Hypothesis(
             "sign", "ahrs", f"{angle} and its rate have the wrong sign", "scale = -1.0 for both",
-            both, lambda s, _, one=one: _diagonal("gyros", *one)(
-                _diagonal("angles", *one[:2])(s, 0.0), 0.0
-            ), cost=2.0,
+            both, _with_rate(one), cost=2.0,
         )  # fmt: skip
     yield Hypothesis(
         "axes", "ahrs", "roll and pitch of the AHRS are swapped", "exchange them", ("angles",),
@@ -469,7 +499,7 @@ def _at_most(base: Evidence, each: Hypothesis) -> float:
         -each.cost
         - FITTED_COST
         + sum(
-            0.5 * one.count * math.log(one.rho / FLOOR)
+            0.5 * one.samples * math.log(one.rho / FLOOR)
             for name, one in base.items()
             if one is not None and touched(name, each.changed)
         )
@@ -494,7 +524,7 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
 
     if each.scan is None:
         score, changed, after = at(math.nan)
-        known = [one.count for k, one in base.items() if one and touched(k, each.changed)]
+        known = [one.samples for k, one in base.items() if one and touched(k, each.changed)]
         windows = min(known, default=0)
         score -= each.cost + each.each * windows + FIXED_COST
         return _Trial(each, math.nan, math.nan, score, changed, after)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +44,7 @@ class Agreement(NamedTuple):
     """... and that angle, rad."""
 
 
-def _agreement(a: npt.NDArray[np.complex128], b: npt.NDArray[np.complex128]) -> Agreement | None:
+def _agreement(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Agreement | None:
     """Return how a goes with b; None where they are few or nothing."""
     ok = (np.abs(a) < FAR_M) & (np.abs(b) < FAR_M)  # false for NaN too
     a, b = a[ok], b[ok]
