@@ -252,7 +252,7 @@ def _of_gps(latency: float) -> Iterator[Hypothesis]:
     yield Hypothesis(
         "unit", "velocity", "only the size of the velocity goes with the fixes: its course is no "
         "angle in radians", 'unit = "deg" for the course in the mapping', ("velocity",), _of_way,
-        each=1.0, exact=False,
+        each=2.0, exact=False,
     )  # fmt: skip
     yield Hypothesis(
         "scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
