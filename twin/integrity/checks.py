@@ -237,10 +237,10 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     has_gps = _watch(dt, cmd, memory, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        trusted = drives.hypothesis == SOUND and not has_gps and not is_suspected(drives)
+        blamed = drives.hypothesis == SOUND and not has_gps and not is_suspected(drives)
         switched = decide(
             bank, memory.decision, memory.frozen[:], drives.yaw_witness,
-            drives.force_ratio if trusted else 0.0, given.bank,
+            drives.force_ratio if blamed else 0.0, given.bank,
         )  # fmt: skip
         if switched:
             memory.switched = 1.0

@@ -52,9 +52,8 @@ Array = NDArray[np.float64]
     SWAPPED,
     LEFT_DEAD,
     RIGHT_DEAD,
-    HELD,
     UNKNOWN,
-) = range(9)
+) = range(8)
 
 EFFECTS = np.array(
     [
@@ -66,12 +65,10 @@ EFFECTS = np.array(
         [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]],
         [[0.0, 1.0], [0.0, 1.0], [0.0, -1.0]],
         [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],
-        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],
         [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
     ]
 )
-"""Factors of the sides in what a boat makes of its commands. The last but one, of commands of zero,
-goes on with the drive of before; the last makes anything."""
+"""Factors of the sides in what a boat makes of its commands; the last makes anything."""
 
 HYPOTHESES = len(EFFECTS)
 
@@ -162,7 +159,6 @@ DRIVES = np.dtype(
         ("residual", "f8", 2),  # the last one, whitened
         ("drive", "f8", 4),  # thrust of left and right, and its steering part, after the lags
         ("sum", "f8", 4),  # integral over the step, s; then its mean
-        ("held", "f8", 4),  # mean drive of the last step in which nothing was at odds
         ("span", "f8"),  # time since the step began, s; below 0 there is none
         ("begin", "f8", 2),  # yaw rate and surge when it began
         ("sway", "f8"),  # sway then
@@ -190,7 +186,7 @@ DRIVES = np.dtype(
         ("yaw_witness", "f8"),  # log-likelihood of the turn by compass over that by gyro
         ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
         ("gain", "f8", TERMS),  # scratch
-        ("likelihood", "f8", HYPOTHESES),  # scratch
+        ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
     ]
 )
 """What the checks of the commands remember; nominal units where none are stated."""
@@ -249,7 +245,7 @@ def _limited(motion):
 def _write_rows(drives, yaw, surge, sway, has_gps, given):
     """Write the regressors of all hypotheses."""
     for h in range(HYPOTHESES):
-        row, mean = drives.row[h], drives.held if h == HELD else drives.sum
+        row, mean = drives.row[h], drives.sum
         thrust = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
         moment = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
         difference = EFFECTS[h, 2, 0] * mean[0] + EFFECTS[h, 2, 1] * mean[1]
@@ -348,13 +344,15 @@ def _put_in_force(drives, h, now):
 
 @inlined
 def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
-    """Write the log-likelihood of a step by each hypothesis."""
+    """Write the log-likelihood of a step by each hypothesis: of yaw alone, and of all."""
     for h in range(HYPOTHESES):
         total = 0.0
         for axis in range(axes):
             change = _change(drives, axis, drives.row[h, axis])
             S = _spread(drives, axis, h, given)
             total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
+            if axis == YAW:
+                drives.likelihood[0, h] = total
         if not has_gps:
             if axes > SURGE:
                 # to starboard the accelerometers measure the turn at the surge of the hypothesis
@@ -363,15 +361,15 @@ def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
                 total += _log_likelihood(error, S) / max(drives.level[1], 1.0)
             change = _change(drives, SURGE, drives.row[h, SURGE])
             drives.surges[h] = _limited(drives.surges[h] + change)
-        drives.likelihood[h] = total
+        drives.likelihood[1, h] = total
 
 
 @kernel
-def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
+def _weigh(drives, changes, turned, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
-    ``turned`` is the heading, rad.
+    ``turned`` is that of the heading, rad.
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
     _write_likelihoods(drives, changes, turned, axes, has_gps, given)
@@ -379,13 +377,12 @@ def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
     strongest = force
     if trained:
         for h in range(HYPOTHESES):
-            sided = given.sides == 0.0 and SWAPPED <= h <= RIGHT_DEAD
-            # without GPS accelerometers at fault would be commands that make anything
-            unasked = (h == HELD and not stopped) or (h == UNKNOWN and not has_gps)
-            if h == force or sided or unasked:
+            if h == force or (given.sides == 0.0 and SWAPPED <= h <= RIGHT_DEAD):
                 drives.evidence[h] = 0.0
             else:
-                more = min(drives.likelihood[h] - drives.likelihood[force], DECIDED) - DRIFT
+                # without GPS, accelerometers at fault would be commands that make anything
+                part = drives.likelihood[0 if h == UNKNOWN and not has_gps else 1]
+                more = min(part[h] - part[force], DECIDED) - DRIFT
                 drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
@@ -467,7 +464,7 @@ def _follow(drives, yaw, surge, sway, span, trained):
 
 
 @kernel
-def _end_step(drives, motion, stopped, doubted, has_gps, now, given):
+def _end_step(drives, motion, doubted, has_gps, now, given):
     """Weigh a step that has ended; return whether the commands explain it."""
     span, h, T, U = drives.span, int(drives.hypothesis), given.time, given.speed
     for i in range(4):
@@ -490,7 +487,7 @@ def _end_step(drives, motion, stopped, doubted, has_gps, now, given):
     suspected = True
     if not doubted:
         axes = 2 if has_gps or measured else 1
-        suspected = _weigh(drives, changes, turned, axes, stopped, has_gps, now, given)
+        suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
@@ -545,19 +542,16 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         drives.span = -1.0
         return
     length = max(STEP * given.time, STEP_MIN_S)
-    stopped = left == 0.0 and right == 0.0
     if drives.known <= KNOWN_S:
         drives.span = -1.0
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)
     elif drives.span >= length - 1e-6:
         if drives.span < STEP_LONG * length:
-            if _end_step(drives, motion, stopped, doubted, has_gps, now, given):
+            if _end_step(drives, motion, doubted, has_gps, now, given):
                 for i in range(4):
                     drives.trusted[i] = drives.before[i]
                     drives.before[i] = cmd[i]
-                    if not stopped:
-                        drives.held[i] = drives.sum[i]
         _begin_step(drives, motion, given)
     share = 1.0 - math.exp(-dt / given.lag)
     for side in range(2):

@@ -48,7 +48,6 @@ REASONS = (
     "have swapped sides",
     "do not reach the left thruster",
     "do not reach the right thruster",
-    "are at rest, and the boat goes on as before",
     "do not explain how the boat moves",
 )
 """Why, in words that follow the sensor's name."""
