@@ -26,7 +26,6 @@ from twin.benchmark.protocol import (
     sea_settings,
     units,
 )
-from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import (
     CPUS,
     OPTIONS_EXAMPLE,
@@ -50,6 +49,7 @@ from twin.cli.common import (
     stopped,
     write_text,
 )
+from twin.cli.tables import print_results, print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
@@ -82,18 +82,6 @@ def benchmark_command(
             "all predictors. Exit code 1: it does not."
         ),
     ] = None,
-    submit_check: Annotated[
-        Path | None,
-        typer.Option(
-            help="Only verify a folder of results: program, predictors, settings, tables, and a "
-            "sample computed again. --log names recorded runs that it scores. Exit code 1: it "
-            "does not hold."
-        ),
-    ] = None,
-    sample: Annotated[
-        int,
-        typer.Option(help="With --submit-check: results computed again of each predictor.", min=0),
-    ] = 1,
     faults_matrix: Annotated[
         bool,
         typer.Option(
@@ -217,9 +205,6 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
-    if submit_check is not None:
-        _submit_check(submit_check, log or [], sample)
-        return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
         sea = sea_settings(hs, wind, wind_from)
@@ -288,7 +273,7 @@ def benchmark_command(
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
-    print_verdict({**results, "notes": []})  # they were printed before the runs
+    print_scores({**results, "notes": []})  # they were printed before the runs
     if verbose:
         print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
@@ -366,24 +351,6 @@ def _check(name: str) -> None:
     with status("checking"):
         found = check(name)
     _print_findings(f"contract of {name}", found)
-
-
-def _submit_check(folder: Path, logs: list[Path], sample: int) -> None:
-    """Print whether a folder of results holds; exit code 1 if it does not."""
-    from twin.benchmark.publish.submission import check_submission
-
-    files = [file for given in logs for file in match_files(given)]
-    with progress_bar(transient=True, console=errors) as progress:
-        bar = progress.add_task("checking", total=None)
-        found = list(
-            check_submission(
-                folder,
-                logs=files,
-                sample=sample,
-                started=lambda text: progress.update(bar, advance=1, description=text),
-            )
-        )
-    _print_findings(f"results in {folder}", found)
 
 
 def _print_findings(title: str, found: Sequence[Finding]) -> None:
