@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
-from twin.benchmark.protocol import FULL_CASES
+from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.boat_prior import BoatPrior
@@ -56,19 +55,8 @@ STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim", BAD: "red", DOUBTFUL: "y
 
 Row = Mapping[str, Any]
 
-SUMMARY_HEADS = {
-    "mae": "MAE",
-    "mae_median": "med.",
-    "mse": "MSE",
-    "crps": "CRPS",
-    "normalised": "norm.",
-    "skill": "skill",
-    "J": "J",
-    "E": "E",
-    "start_error": "start",
-    "coverage90": "cov.",
-}
-"""Columns of the benchmark's tables by metric."""
+SUMMARY_NAMES = ("scenario", "case", "plan", "predictor")
+"""What tells the lines of a summary apart."""
 
 LEGEND = {
     r"[XYN]_": ("X, Y, N", "terms of the acceleration forward, to starboard, in yaw"),
@@ -399,29 +387,17 @@ def _print_simulated(rows: Sequence[Row]) -> None:
     blocks: dict[str, dict[str, Row]] = {}
     for row in rows:
         blocks.setdefault(row["predictor"], {})[row["loss"]] = row
-    every = rows[0] if rows[0]["loss"] == "all" else next(r for r in rows if r["loss"] == "all")
-    names = {"none": "no loss", "any": "with a loss", "all": "all"}
     losses = [loss for loss in ("none", "any") if any(loss in block for block in blocks.values())]
-    lost = [case for row in rows if row["loss"] == "any" for case in row["cases"]]
-    if len(set(lost)) == 1:
-        names["any"] = lost[0]
-    elif lost:
-        names["any"] = "loss"
-    if "any" in losses:
-        names["none"] = "none"
+    lost = {case for row in rows if row["loss"] == "any" for case in row["cases"]}
+    named = {"none": "no loss", "any": lost.pop() if len(lost) == 1 else "loss"}
     heads = [
-        (first if k == 0 else "\n") + f"\n{names[loss]}"
-        for first in ("position\nm", "heading\ndeg", "ratio to\npersist.")
-        for k, loss in enumerate(losses)
+        f"{head}\n{named[loss]}"
+        for head in ("position\nm", "heading\ndeg", "ratio to\npersist.")
+        for loss in losses
     ]
-    runs = every["runs"]
-    table = _predictor_table(
-        f"Mean error after 10 s, {runs} run{'s' * (runs > 1)}, best first",
-        *heads,
-        "\n\nMAE",
-        "\n\nMSE",
-        padding=0,
-    )
+    runs = next(row["runs"] for row in rows if row["loss"] == "all")
+    title = f"Mean error after 10 s, {runs} run{'s' * (runs > 1)}, best first"
+    table = _predictor_table(title, *heads, "\n\nMAE", "\n\nMSE", padding=0)
     for name, block in blocks.items():
         if name == ORACLE:
             table.add_section()
@@ -438,6 +414,11 @@ def _print_simulated(rows: Sequence[Row]) -> None:
         "u, v, r, position and heading at 1, 2, 5 and 10 s, units mixed."
         + (" oracle is the true ship in the mean wind, no predictor." if ORACLE in blocks else "")
     )
+
+
+def _predictor_table(title: str, *heads: str, **style: Any) -> Table:
+    """Return a table with a line for each predictor."""
+    return new_table(title, "predictor", *heads, left=("predictor",), **style)
 
 
 def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
@@ -471,7 +452,7 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
 
 
 def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
-    """Print a table for each run and case, and those on all runs.
+    """Print all tables of ``results.json``.
 
     Parameters
     ----------
@@ -480,175 +461,73 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
     missing : sequence of str
         Predictors that could not run here.
     """
-    _print_summary(results["summary"], missing)
-    for rows, print_table in (
-        (results.get("paired"), _print_paired),
-        (results.get("recorded"), _print_recorded),
-        (results.get("losses"), _print_losses),
-    ):
-        if rows:
-            print_table(rows)
-    shown = shown_motion(results)
-    if shown["motion"]:
-        _print_motion_scores(**shown)
-    explain(
-        "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
-        "2, 5 and 10 s. Units are mixed. Below the MAE: its 95 % interval over seeds. med.: its "
-        "median. CRPS: the same of the whole distribution. norm. (error over the true change) and "
-        "skill (1 - error / error of raw persistence): means over channels and horizons. "
-        "J: MAE over that of the oracle, mean of u, v, r, heading and displacement over every "
-        "half second up to 10 s. E is J - 1. start: error of the estimated position at the time "
-        "of the prediction, m. cov.: share of errors inside the 90 % prediction intervals. "
-        "results.json and the report have all intervals and medians, and errors, CRPS and "
-        "coverage by channel and horizon."
-    )
-
-
-def _predictor_table(title: str, *heads: str, **style: Any) -> Table:
-    """Return a table with a line for each predictor."""
-    return new_table(title, "predictor", *heads, left=("predictor",), **style)
-
-
-def _print_summary(rows: Sequence[Row], missing: Sequence[str]) -> None:
-    """Print a table of all metrics for each run and case."""
-    cells: dict[tuple[str, str, str], dict[str, dict[str, Row]]] = {}
-    for item in rows:
+    lines: dict[tuple[str, ...], dict[str, Any]] = {}
+    for item in results["summary"]:
         case = item.get("case", item["fault"])
-        block = cells.setdefault((item["scenario"], case, item["plan"]), {})
-        block.setdefault(item["predictor"], {})[item["metric"]] = item
-    there = {item["metric"] for item in rows}
-    heads = {metric: head for metric, head in SUMMARY_HEADS.items() if metric in there}
-    for (scenario, case, plan), block in cells.items():
-        loss = "no loss" if case == "none" else f"loss {case}"
-        loss = f"case {case}" if case in FULL_CASES else loss
-        table = _predictor_table(f"{scenario}, {loss}, plan {plan}", *heads.values(), padding=0)
-        for predictor, metrics in block.items():
-            table.add_row(predictor, *(_cell(metrics.get(metric), metric) for metric in heads))
-        for predictor in missing:
-            table.add_row(predictor, "left out", *["-"] * (len(heads) - 1))
-        console.print(table)
-
-
-def _cell(item: Row | None, metric: str) -> str:
-    """Return one value, and for the MAE its interval: more does not fit into 80 columns."""
-    if item is None:
-        return "-"
-    text = short(item["value"], 2 if metric in ("mae_median", "start_error", "coverage90") else 3)
-    if metric == "mae" and item["low"] is not None:
-        text += f"\n{short(item['low'], 2)}..{short(item['high'], 2)}"
-    return text
-
-
-def _interval(low: float | None, high: float | None, digits: int) -> str:
-    """Return an interval of changes; a dash where there is none."""
-    return "-" if low is None else f"{low:+.{digits}f}..{high:+.{digits}f}"
-
-
-def _print_paired(rows: Sequence[Row]) -> None:
-    """Print how each predictor compares with the reference on the same seeds."""
-    _print_rows(
-        f"MAE against {rows[0]['against']}, %, the same seeds",
-        rows,
-        {
-            "scenario": lambda row: row["scenario"],
-            "case": lambda row: row["case"],
-            "plan": lambda row: row["plan"],
-            "predictor": lambda row: row["predictor"],
-            "change": lambda row: f"{row['change_percent']:+.1f}",
-            "interval": lambda row: _interval(row["low"], row["high"], 1),
-            "better": lambda row: f"{row['wins']} of {row['seeds']}",
-        },
-        left=("scenario", "case", "plan", "predictor"),
-    )
-
-
-def _print_recorded(rows: Sequence[Row]) -> None:
-    """Print the RMSE after 10 s over that of raw persistence, for each folder of runs."""
-    _print_rows(
-        "recorded runs: RMSE after 10 s over that of raw persistence",
-        rows,
-        {
-            "folder": lambda row: row["folder"],
-            "loss": lambda row: row["fault"],
-            "plan": lambda row: row["plan"],
-            "predictor": lambda row: row["predictor"],
-            "channel": lambda row: row["channel"],
-            "runs": lambda row: str(row["runs"]),
-            "ratio": lambda row: short(row.get("ratio"), 3),
-            "geom. mean": lambda row: short(row.get("geometric"), 3),
-            "change %": lambda row: (
-                f"{row['change_percent']:+.0f}" if "change_percent" in row else "-"
-            ),
-            "interval": lambda row: _interval(row.get("change_low"), row.get("change_high"), 0),
-        },
-        left=("folder", "loss", "plan", "predictor", "channel"),
-    )
-    against = next((row["against"] for row in rows if "against" in row), None)
-    if against is not None:
-        explain(
-            f"change: of the mean ratio against {against} on the same runs, with its 95 % "
-            "bootstrap interval over runs"
-        )
-
-
-def _print_losses(rows: Sequence[Row]) -> None:
-    """Print how far off the estimated position is at the end of a loss, and how far it says."""
-    _print_rows(
-        "Estimated position at the end of a loss of GPS",
-        rows,
-        {
-            "run": lambda row: row["scenario"] or row["folder"],
-            "loss": lambda row: row["case"],
-            "predictor": lambda row: row["predictor"],
-            "losses": lambda row: str(row["losses"]),
-            "off m": lambda row: short(row["error_m"], 2),
-            "worst": lambda row: short(row["worst_m"], 2),
-            "said m": lambda row: short(row["said_m"], 2),
-            "held": lambda row: f"{100.0 * row['held']:.0f} %",
-        },
-        left=("run", "loss", "predictor"),
-    )
-    explain("Medians; said: the radius that is to hold 90 %; held: the share that it did hold.")
-
-
-def _print_motion_scores(motion: Sequence[Row], quiet: Sequence[Row]) -> None:
-    """Print what the forecasts of roll, pitch and heave are worth, and of a quiet deck."""
-    groups: dict[tuple[str, str, str, float], list[Row]] = {}
-    for row in motion:
-        key = row["scenario"], row["plan"], row["channel"], row["horizon_s"]
-        groups.setdefault(key, []).append(row)
-    predictor = motion[0]["predictor"]
-    heads = ("RMSE", "sd", "CRPS", "RMSE/sd", "held/sd", "inside")
-    names = ("scenario", "plan", "channel", "unit")
-    title = f"roll, pitch and heave by {predictor}"
-    table = new_table(title, *names, "after s", *heads, left=names)
-    for (scenario, plan, channel, horizon), rows in groups.items():
-        unit, factor = SHOWN_UNITS[channel]
-        m = median_scores(rows, horizon)
-        texts = [short(factor * m[name], 2) for name in ("rmse", "sd", "crps")]
-        texts += [f"{m['skill']:.2f}", f"{m['held']:.2f}", f"{100.0 * m['coverage90']:.0f} %"]
-        table.add_row(scenario, plan, channel, unit, f"{horizon:g}", *texts)
-    console.print(table)
-    _print_rows(
-        f"quiet deck by {predictor}",
-        quiet,
-        {
-            "scenario": lambda row: row["scenario"],
-            "case": lambda row: row["case"],
-            "plan": lambda row: row["plan"],
-            "span": lambda row: f"{row['span_s']:g} s",
-            "share": lambda row: short(row["base_rate"], 2),
-            "Brier": lambda row: short(row["brier"], 2),
-            "Brier skill": lambda row: short(row["brier_skill"], 2),
-            "AUC": lambda row: short(row["auc"], 2),
-            "AUC now": lambda row: short(row["auc_now"], 2),
-        },
-        left=("scenario", "case", "plan"),
-    )
+        key = (item["scenario"], case, item["plan"], item["predictor"])
+        row = lines.setdefault(key, dict(zip(SUMMARY_NAMES, key, strict=True)))
+        row[item["metric"]] = item["value"]
+        if item["metric"] == "mae" and item["low"] is not None:
+            row["MAE 95 %"] = f"{short(item['low'], 2)}..{short(item['high'], 2)}"
+    for scenario, case, plan in dict.fromkeys(key[:3] for key in lines):
+        block = [row for key, row in lines.items() if key[:3] == (scenario, case, plan)]
+        block += [{"predictor": name, "MAE 95 %": "left out"} for name in missing]
+        shown = [{k: v for k, v in row.items() if k not in SUMMARY_NAMES[:3]} for row in block]
+        print_rows(f"{scenario}, loss {case}, plan {plan}", shown)
     explain(
-        f"The twins of all predictors forecast this alike, but for the turn ahead; shown is that "
-        f"of {predictor}. inside: of the 90 % interval; held: the present value. 1 is the error of "
-        "the mean. Medians over seeds. Quiet: roll, pitch and deck speed within the limits of the "
-        "particulars for the whole span; share: how often that was so. Brier skill: 0 is that of "
-        "the share. AUC now: of how far the deck is within its limits at present."
+        "Metrics as in the docstring of twin.benchmark.metrics: mae and mse pooled over u, v, r, "
+        "position and heading at 1, 2, 5 and 10 s, units mixed, as in the paper's Table 4; crps: "
+        "the same of the whole distribution; normalised and skill: means over channels and "
+        "horizons; J: mae over that of the oracle, E = J - 1; start_error: m; coverage90: share "
+        "inside the 90 % intervals."
     )
+    print_rows("change of the MAE against a reference on the same seeds", results.get("paired"))
+    print_rows("recorded runs: RMSE after 10 s", results.get("recorded"))
+    print_rows("position at the end of a loss of GPS, m", results.get("losses"))
+    shown = shown_motion(results)
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in shown["motion"]:
+        key = tuple(row[name] for name in ("scenario", "plan", "channel", "horizon_s"))
+        groups.setdefault(key, []).append(row)
+    print_rows(
+        "forecasts of roll, pitch and heave, medians over seeds, SI units",
+        [
+            {"scenario": scenario, "plan": plan, "channel": channel, "after s": horizon}
+            | median_scores(rows, horizon)
+            for (scenario, plan, channel, horizon), rows in groups.items()
+        ],
+    )
+    print_rows("probability of a quiet deck", shown["quiet"])
+
+
+def print_rows(title: str, rows: Sequence[Row] | None) -> None:
+    """Print rows of results as they are: a column for each key with numbers or words.
+
+    What is the same in all rows stands in the title.
+    """
+    if not rows:
+        return
+    keys = [
+        k
+        for k in dict.fromkeys(key for row in rows for key in row)
+        if not any(isinstance(row.get(k), list | dict) for row in rows)
+    ]
+    same = {k: rows[0].get(k) for k in keys if len({row.get(k) for row in rows}) == 1}
+    keys = [k for k in keys if k not in same or len(rows) == 1]
+    words = {k for k in keys if any(isinstance(row.get(k), str) for row in rows)}
+    about = ", ".join(f"{k} {v}" for k, v in same.items() if v not in (None, "", title))
+    heads = {k: k.replace("_", "\n") for k in keys}
+    table = new_table(
+        f"{title}: {about}" if about else title,
+        *heads.values(),
+        left={heads[k] for k in words},
+        padding=0,
+    )
+    for row in rows:
+        table.add_row(*(_cell(row.get(k)) for k in keys))
+    console.print(table)
+
+
+def _cell(value: Any) -> str:
+    """Return the text of a number or word; a dash for none."""
+    return short(value, 3) if value is None or isinstance(value, float) else str(value)
