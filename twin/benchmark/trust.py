@@ -234,11 +234,12 @@ class Verdict:
         Sensors or commands are at fault, so that the parameters learned the fault, or the forecasts
         are bad, so that the run may be of another boat.
         """
+        reasons = []
         for answer in self.answers:
             turned = answer.about == "parameters" and answer.numbers.get("sign")
             if answer.grade == BAD and (turned or answer.about in ("sensors", "forecast")):
-                return f"{answer.about}: {answer.text}"
-        return ""
+                reasons.append(f"{answer.about}: {answer.text}")
+        return "; ".join(reasons)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as plain data."""
@@ -471,7 +472,7 @@ class TrustMeter:
             "persistence_heading_rad": float(held[1]),
         }
         grade = _grade(worst <= RATIO_OK, worst <= RATIO_DOUBTFUL, self._seconds)
-        return Answer("forecast", grade, text + self._limit(grade, RATIO_LIMIT), numbers)
+        return Answer("forecast", grade, text + _limit(grade, RATIO_LIMIT, self._seconds), numbers)
 
     def _coverage_answer(self) -> Answer:
         if not self.forecasts:
@@ -483,7 +484,7 @@ class TrustMeter:
         )
         worst, bound = min(place, heading), _coverage_bound(self._seconds)
         grade = _grade(worst >= bound, worst >= COVERAGE_DOUBTFUL, self._seconds)
-        text += self._limit(grade, f"ok from {bound:.0%} on")
+        text += _limit(grade, f"ok from {bound:.0%} on", self._seconds)
         return Answer("coverage", grade, text, {"position": place, "heading": heading})
 
     def _loss_answer(self) -> Answer:
@@ -514,7 +515,7 @@ class TrustMeter:
         }
         typical = counted[median]
         grade = _grade(typical >= WITHOUT_GPS_OK_S, typical >= WITHOUT_GPS_DOUBTFUL_S)
-        text += "" if grade == OK else f"; ok from {WITHOUT_GPS_OK_S:g} s on"
+        text += _limit(grade, f"ok from {WITHOUT_GPS_OK_S:g} s on")
         return Answer("without GPS", grade, text, numbers)
 
     def _tilt_answer(self) -> Answer:
@@ -536,16 +537,9 @@ class TrustMeter:
             worst <= RATIO_DOUBTFUL and inside >= COVERAGE_DOUBTFUL,
             found.seconds,
         )
-        text += "" if grade == OK else f"; {RATIO_LIMIT}, and {bound:.0%} inside"
+        text += _limit(grade, f"{RATIO_LIMIT}; ok from {bound:.0%} inside on", found.seconds)
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
         return Answer("attitude", grade, text, numbers)
-
-    def _limit(self, grade: str, limit: str) -> str:
-        """Return the end of a line on forecasts that are not ok: what would be, and how many."""
-        if grade == OK:
-            return ""
-        few = self._seconds < SCORED_MIN_S
-        return f"; {limit}" + (f"; over {self._seconds:.0f} s: too few to judge" if few else "")
 
     def _parameter_answer(self, scores: Sequence[Answer]) -> tuple[list[tuple[str, float]], Answer]:
         """Return how far parameters are from the prior, and what that says."""
@@ -774,6 +768,12 @@ def _worst(grades: Iterable[str]) -> str:
 def _grade(is_ok: bool, is_doubtful: bool, seconds: float = math.inf) -> str:
     """Return the grade of scores of forecasts over a time, s; few of them are never bad."""
     return OK if is_ok else DOUBTFUL if is_doubtful or seconds < SCORED_MIN_S else BAD
+
+
+def _limit(grade: str, limit: str, seconds: float = math.inf) -> str:
+    """Return the end of a line that is not ok: what would be, and whether the log is too short."""
+    short = f"; over {seconds:.0f} s: too few to judge" if seconds < SCORED_MIN_S else ""
+    return "" if grade == OK else f"; {limit}{short}"
 
 
 def _coverage_bound(seconds: float) -> float:
