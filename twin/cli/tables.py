@@ -473,7 +473,7 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
         block = [row for key, row in lines.items() if key[:3] == (scenario, case, plan)]
         block += [{"predictor": name, "MAE 95 %": "left out"} for name in missing]
         shown = [{k: v for k, v in row.items() if k not in SUMMARY_NAMES[:3]} for row in block]
-        print_rows(f"{scenario}, loss {case}, plan {plan}", shown)
+        print_rows(f"{scenario}, case {case}, plan {plan}", shown)
     explain(
         "Metrics as in the docstring of twin.benchmark.metrics: mae and mse pooled over u, v, r, "
         "position and heading at 1, 2, 5 and 10 s, units mixed, as in the paper's Table 4; crps: "
