@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -290,7 +290,8 @@ def judge(
     """
     check_simulator(predictor, log, particulars)
     run = log.without_truth()
-    twin = Twin(particulars, predictor, **({} if model is None else {"model": model}))
+    options: dict[str, Any] = {} if model is None else {"model": model}
+    twin = Twin(particulars, predictor, **options)
     twin.locate(run.datum)
     meter = TrustMeter(twin, run)
 
@@ -320,7 +321,9 @@ class TrustMeter:
         self.bound = position_bound(self.particulars)
         self.prior = twin.estimate()  # parameters before the first row
         self._navigator = Navigator(self.particulars)
-        self._seconds_in: Counter[tuple[str, str]] = Counter()  # by sensor and status
+        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(
+            float
+        )  # s, by sensor and status
         try:
             self._reference: Reference | None = Reference(log)
         except BenchmarkError:
@@ -429,7 +432,11 @@ class TrustMeter:
         """
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         deviations, parameters = self._parameter_answer(scores)
-        answers = (*scores, parameters, sensor_answer(findings, self._seconds_in, self._span))
+        answers: tuple[Answer, ...] = (
+            *scores,
+            parameters,
+            sensor_answer(findings, self._seconds_in, self._span),
+        )
         if self.twin.motion.active:
             answers = (*answers, self._tilt_answer())
         return Verdict(

@@ -484,11 +484,11 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
     print_rows("change of the MAE against a reference on the same seeds", results.get("paired"))
     print_rows("recorded runs: RMSE after 10 s", results.get("recorded"))
     print_rows("position at the end of a loss of GPS, m", results.get("losses"))
-    shown = shown_motion(results)
+    scores = shown_motion(results)
     groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in shown["motion"]:
-        key = tuple(row[name] for name in ("scenario", "plan", "channel", "horizon_s"))
-        groups.setdefault(key, []).append(row)
+    for score in scores["motion"]:
+        key = tuple(score[name] for name in ("scenario", "plan", "channel", "horizon_s"))
+        groups.setdefault(key, []).append(score)
     print_rows(
         "forecasts of roll, pitch and heave, medians over seeds, SI units",
         [
@@ -497,7 +497,7 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
             for (scenario, plan, channel, horizon), rows in groups.items()
         ],
     )
-    print_rows("probability of a quiet deck", shown["quiet"])
+    print_rows("probability of a quiet deck", scores["quiet"])
 
 
 def print_rows(title: str, rows: Sequence[Row] | None) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import shlex
 from pathlib import Path
+from typing import Any
 
 from twin.digital_twin import Twin, TwinError
 from twin.logs import datasets as archive
@@ -130,7 +131,8 @@ def twin_for_log(
         boat = particulars_for_log(path, ship, mapping)
         check_simulator(name, log, boat)
         boat = boat if own_prior else dataclasses.replace(boat, prior=None)
-        twin = Twin(boat, name, **({} if model is None else {"model": model}))
+        options: dict[str, Any] = {} if model is None else {"model": model}
+        twin = Twin(boat, name, **options)
     unused = prior_note(twin.predictor, str(twin.name))
     log = dataclasses.replace(
         log.without_truth(), notes=(*log.notes, *([unused] if unused else ()))
