@@ -80,14 +80,6 @@ def test_commands_that_run_a_twin_print_which_sensor_was_not_ok(folder, tmp_path
     assert any(line.startswith("gyro excluded") for line in found["health_notes"])
 
 
-def test_identify_prints_what_determines_the_parameters(folder):
-    out = run("identify", folder / "run.csv", "-p", "ukf").stdout
-    assert "sums of collinear parameters" in out and "T_uL + T_uR" in out
-    assert "condition number" in out and "effective rank" in out
-    assert "what the names mean" in out and "thrust n|n| of the left, right shaft" in out
-    assert "\u2026" not in out
-
-
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("boat", [{}, {"differential": True}, {"tanker": True}, {"biased": True}])
 def test_the_legend_explains_every_parameter(model, boat):
@@ -158,17 +150,6 @@ def test_predict_prints_intervals_and_writes_them(folder):
     run("predict", folder / "run.csv", "--plan", plan)
 
 
-def test_predict_says_that_the_twin_had_no_time_to_learn(folder):
-    def said(*options):
-        found = run("predict", folder / "run.csv", *options)
-        return " ".join((found.stdout + found.stderr).split())
-
-    words = "it had no time to learn the boat"
-    assert f"seen 2.0 s of data: {words}" in said("--at", "2")
-    assert words not in said("--at", "2", "--predictor", "persistence")
-    assert words not in said("--at", "30")
-
-
 def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     log = tmp_path / "deck.csv"
     run("simulate", "heading135", "--dof", "6", "--duration", "60", "--sea", "3", "-o", log)
@@ -228,17 +209,6 @@ def test_broken_logs_are_refused_with_the_place(tmp_path, text, words):
     error = run("identify", path, check=2).stderr
     assert error.startswith("error: ")
     assert all(word in error for word in ("bad.csv", *words)), error
-
-
-def test_gaps_and_empty_cells_are_reported(tmp_path):
-    rows = ROWS.splitlines()
-    rows[10] = rows[10].replace(",1.0,2.0,", ",,nan,")
-    del rows[20:40]
-    path = tmp_path / "gappy.csv"
-    path.write_text(HEADER + "\n".join(rows) + "\n")
-    out = run("identify", path, "--ship", "usv75").stdout
-    assert "gps_x_m: no value in 1 of 30 rows" in out
-    assert "gap" in out
 
 
 @pytest.mark.parametrize(
