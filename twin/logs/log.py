@@ -449,7 +449,7 @@ def _chosen(
     remedy = remedy or ["add them to the file"]
     others = f"or name them in {layout.source if mapped_here else 'a mapping file'}"
     if not mapped_here:
-        others += f" (usv-twin mapping new {source} proposes one)"
+        others += f" (usv-twin mapping {source} proposes one)"
     if not any(name in made for name in SINGLE["delta_rad"]):
         others += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
     remedy_text = f"{'; '.join(remedy)}, {others} {there}"

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import shlex
 from pathlib import Path
+from typing import Any
 
+from twin.digital_twin import Twin, TwinError
 from twin.logs import datasets as archive
 from twin.logs.autopilot.outputs import particulars_of_parameters
 from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
 from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
+from twin.predictors.own_prior import prior_note
+from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import particulars_of
+from twin.sim.oracle import check_simulator
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_kernel.files import TOML_MAX, read_limited
 
@@ -19,6 +26,7 @@ __all__ = [
     "has_particulars",
     "particulars_for_log",
     "read_run",
+    "twin_for_log",
 ]
 
 
@@ -83,9 +91,87 @@ def particulars_for_log(
     return particulars_of_parameters(boat, parameters, servos, str(path))
 
 
+def twin_for_log(
+    path: str | Path,
+    predictor: str | None = None,
+    *,
+    ship: str | None = None,
+    mapping: str | Path | None = None,
+    model: str | None = None,
+    until: float | None = None,
+    resume: str | Path | None = None,
+    own_prior: bool = True,
+) -> tuple[Log, Twin]:
+    """Return a log without its truth, and the twin that is to run over it.
+
+    Parameters
+    ----------
+    path, ship, mapping
+        As for :func:`read_run`.
+    predictor, model : str, optional
+        Names of the predictor and of its model's structure.
+    until : float, optional
+        Rows after this time are left out, s.
+    resume : str or Path, optional
+        File of ``Twin.save``: that twin goes on, with the rows after its time.
+    own_prior : bool
+        Whether the twin begins with the prior of the particulars, if they have one.
+
+    Raises
+    ------
+    UsvTwinError
+        Where the log cannot be read, has no row left, or contradicts the saved twin.
+    """
+    name = predictor or DEFAULT
+    predictor_class(name)
+    log = Log.read(path, mapping)
+    if resume is not None:
+        twin = _saved_twin(resume, predictor, ship, model)
+    else:
+        boat = particulars_for_log(path, ship, mapping)
+        check_simulator(name, log, boat)
+        boat = boat if own_prior else dataclasses.replace(boat, prior=None)
+        options: dict[str, Any] = {} if model is None else {"model": model}
+        twin = Twin(boat, name, **options)
+    unused = prior_note(twin.predictor, str(twin.name))
+    log = dataclasses.replace(
+        log.without_truth(), notes=(*log.notes, *([unused] if unused else ()))
+    )
+    twin.locate(log.datum)
+    if until is not None:
+        if not math.isfinite(until):
+            raise TwinError(f"until = {until}: must be a finite time in s")
+        log = log.slice(-math.inf, math.nextafter(until, math.inf))
+        if len(log) == 0:
+            raise TwinError(f"until = {until:g}: {path} has no row before it")
+    if resume is not None and not math.isnan(twin.t):
+        log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
+        if len(log) == 0:
+            raise TwinError(
+                f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
+                "give the log that continues from there"
+            )
+    return log, twin
+
+
+def _saved_twin(
+    path: str | Path, predictor: str | None, ship: str | None, model: str | None
+) -> Twin:
+    """Load a saved twin, and refuse options that would contradict it."""
+    twin = Twin.load(path)
+    given = {"predictor": predictor, "ship": ship, "model": model}
+    for option, value in given.items():
+        if value is not None and not (option == "predictor" and value == twin.name):
+            raise TwinError(
+                f"{option} = {value}: {path} holds a twin of {twin.particulars.name} by "
+                f"{twin.name}, which goes on; leave the option out"
+            )
+    return twin
+
+
 _NO_PARTICULARS = (
     "{path}: no particulars of the boat. This writes them, as far as the log shows them: "
-    "usv-twin log check {options} --write {file}. Then fill in length, beam, draft and mass there. "
+    "usv-twin check {options} --write {file}. Then fill in length, beam, draft and mass there. "
     "Or name the boat with --ship FILE or --ship NAME ({names})"
 )
 

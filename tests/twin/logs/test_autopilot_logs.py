@@ -300,7 +300,7 @@ def test_log_check_takes_shares_of_throttle_for_what_they_are(kind, tmp_path):
     pytest.importorskip("pymavlink")
     log = dataclasses.replace(RUN, z=np.hstack([RUN.z[:, :MOTION_AT], 0.01 * RUN.z[:, MOTION_AT:]]))
     path = written(tmp_path / f"a.{kind}", KINDS[kind](log, SKID))
-    command = ["log", "check", str(path), "--ship", "otter", "--no-picture"]
+    command = ["check", str(path), "--ship", "otter", "--no-picture"]
     found = CliRunner().invoke(app, command).output
     assert "rpm" not in found and "rev/s" not in found.partition("samples/s")[2]
 

@@ -208,13 +208,12 @@ def test_a_run_is_known_by_its_header_in_any_kind_of_table(tmp_path):
         assert particulars_for_log(plain).name == boat
 
 
-@pytest.mark.parametrize("kind", ["identify", "predict", "replay", "view", "benchmark"])
+@pytest.mark.parametrize("kind", ["identify", "predict", "view", "benchmark"])
 def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
     path = tmp_path / "mine.csv"
     log = Log.read(recorded_runs()["boat1_usv_circle"])
     log.write(path)
     options = {
-        "replay": ["--mavlink", "udp://:14550"],
         "benchmark": ["--predictors", "persistence", "--out", str(tmp_path / "out"), "--jobs=1"],
     }
     first = [str(path)] if kind != "benchmark" else ["--log", str(path)]
@@ -223,7 +222,7 @@ def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
     assert result.exit_code == 2
     assert f"{path}: no particulars of the boat" in said
     particulars = tmp_path / "mine.toml"
-    assert f"usv-twin log check {path} --write {particulars}. Then fill in length, beam" in said
+    assert f"usv-twin check {path} --write {particulars}. Then fill in length, beam" in said
 
 
 @pytest.mark.parametrize("name", ["mine.csv", "my own.csv"])

@@ -54,7 +54,7 @@ def write(path: Path, columns: Columns, more: Callable[[list[str]], list[str]] =
 
 
 def mapped(path: Path) -> tuple[str, Log]:
-    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    result = CliRunner().invoke(app, ["mapping", str(path)])
     assert result.exit_code == 0, result.output
     return " ".join(result.output.split()), Log.read(path)
 

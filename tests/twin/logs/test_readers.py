@@ -552,7 +552,7 @@ def test_commands_take_mapped_files_and_bags(
     mapping = str(written(tmp_path / "m.toml", FOREIGN))
     plain = ("--predictor", "persistence")
     code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
-    assert code == 2 and "usv-twin log check sail.parquet" in said and "--write sail.toml" in said
+    assert code == 2 and "usv-twin check sail.parquet" in said and "--write sail.toml" in said
     for name in ("sail", "bag"):
         boat = particulars_of(Vessel.load("usv75"))
         (tmp_path / f"{name}.toml").write_text(boat.to_toml(), encoding="utf-8")

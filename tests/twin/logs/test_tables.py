@@ -430,19 +430,3 @@ def test_benchmark_report_names_the_datum(files):
     results = json.loads((files / "out" / "results.json").read_text(encoding="utf-8"))
     assert results["logs"]["run"]["datum"] == HERE.to_json()
     assert f"latitude {PLACE[0]}" in (files / "out" / "report.html").read_text(encoding="utf-8")
-
-
-def test_replay_sends_a_log_from_its_own_place(files, monkeypatch):
-    seen = []
-
-    def stream(place, tag):
-        seen.append(place)
-        raise LogError("enough")
-
-    monkeypatch.setattr("twin.cli.logs.replay.NmeaStream", stream)
-    for more in ([], ["--origin", "1,2"]):
-        code, _ = command("replay", files / "run.csv", "--nmea", "udp://:10110", *more)
-        assert code == 2
-    run(datum=None).write(files / "run.csv")
-    command("replay", files / "run.csv", "--nmea", "udp://:10110")
-    assert seen == [PLACE, (1.0, 2.0), (59.43, 10.47)]

@@ -296,7 +296,7 @@ def _gyro_by_size(columns: Columns, found: Proposal) -> None:
 
 
 def _motion(columns: Columns, found: Proposal) -> None:
-    """Find roll, pitch and heave; ``usv-twin log check`` tells whether signs and axes are right."""
+    """Find roll, pitch and heave; ``usv-twin check`` tells whether signs and axes are right."""
     for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
         name = pick(columns, meaning)
         if name is not None:

@@ -198,7 +198,7 @@ class Proposal:
 
     def text(self, source: str) -> str:
         """Return the text of the mapping file."""
-        out = [f"# Proposed for {source} by usv-twin mapping new: check every line."]
+        out = [f"# Proposed for {source} by usv-twin mapping: check every line."]
         out += [f"# ? {question}" for question in self.questions]
         for table in ("columns", "position", "velocity"):
             rows = list(self.lines.get(table, []))
