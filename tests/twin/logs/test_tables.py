@@ -78,10 +78,50 @@ def test_places_survive_metres_and_back(latitude, longitude, north, east):
     assert abs(again[0] - place[0]) < 1e-9 and abs(apart) < 1e-9
 
 
-def test_metres_are_those_of_the_ellipsoid():
-    # a degree at 45 degrees of latitude is 111 131.8 m north and 78 846.8 m east (WGS 84)
-    north, east = Plane(45.0, 7.0).metres(45.001, 7.001)
-    assert north == pytest.approx(111.1318, abs=1e-3) and east == pytest.approx(78.8468, abs=1e-3)
+def east_north_up(place, origin):
+    """Turn places (latitude, longitude in degrees, height in m) into the plane, by matrices."""
+
+    def geocentric(latitude, longitude, height):
+        a, f = 6378137.0, 1.0 / 298.257223563
+        phi, lam = np.radians(latitude), np.radians(longitude)
+        e2 = f * (2.0 - f)
+        n = a / np.sqrt(1.0 - e2 * np.sin(phi) ** 2)
+        return np.array(
+            [
+                (n + height) * np.cos(phi) * np.cos(lam),
+                (n + height) * np.cos(phi) * np.sin(lam),
+                (n * (1.0 - e2) + height) * np.sin(phi),
+            ]
+        )
+
+    phi, lam = np.radians(origin[:2])
+    turn = np.array(
+        [
+            [-np.sin(lam), np.cos(lam), 0.0],
+            [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
+            [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)],
+        ]
+    )
+    return turn @ (geocentric(*place) - geocentric(*origin))
+
+
+def test_the_formula_of_these_tests_gives_published_values():
+    # from Zermatt to the summit of the Matterhorn: MathWorks, geodetic2enu
+    found = east_north_up((45.976, 7.658, 4531.0), (46.017, 7.750, 1673.0))
+    np.testing.assert_allclose(found, [-7134.8, -4556.3, 2852.4], atol=0.05)
+
+
+@pytest.mark.parametrize("latitude", [-89.9, -33.9, 0.0, 60.0, 78.2, 90.0])
+@pytest.mark.parametrize("longitude", [10.0, 179.99])
+def test_metres_are_those_of_the_ellipsoid_as_far_as_50_km(latitude, longitude):
+    plane, angle = Plane(latitude, longitude), np.linspace(0.0, 6.0, 9)
+    for way in (10.0, 1e4, 5e4):
+        north, east = way * np.cos(angle), way * np.sin(angle)
+        places = plane.degrees(north, east)
+        for k, place in enumerate(zip(*places, strict=True)):
+            there = east_north_up((*place, 0.0), (latitude, longitude, 0.0))
+            np.testing.assert_allclose(there[:2], (east[k], north[k]), atol=1e-6)
+            np.testing.assert_allclose(plane.metres(*place), (north[k], east[k]), atol=1e-6)
 
 
 def test_times_become_dates():
@@ -202,6 +242,15 @@ def test_latitude_and_longitude_place_a_log_in_metres():
     assert vars(found) == pytest.approx(vars(plane), abs=1e-9)
     far = Plane(-10.0, 180.0 - 1e-4)
     assert vars(Plane.through(far.degrees(x, y), (x, y), "a.csv")) == pytest.approx(vars(far))
+    # of 40 km; and as a logger has them that takes the Earth for a cylinder along its meridian
+    north, east = np.linspace(-2e4, 2e4, 30), 1e4 * np.sin(np.arange(30.0))
+    fixes = plane.degrees(north, east)
+    assert vars(Plane.through(fixes, (north, east), "a.csv")) == pytest.approx(vars(plane))
+    across = 6.38e6 * np.cos(np.radians(PLACE[0])) * np.radians(fixes[1] - PLACE[1])
+    along = 6.38e6 * np.radians(fixes[0] - PLACE[0])
+    found = Plane.through(fixes, (along, across), "a.csv")
+    assert np.hypot(*plane.metres(found.latitude, found.longitude)) < 200.0
+    fixes = plane.degrees(x, y)
     for metres in ((1.2 * x, 1.2 * y), (y, x)):
         with pytest.raises(LogError, match="move otherwise than gps_x_m"):
             Plane.through(fixes, metres, "a.csv")

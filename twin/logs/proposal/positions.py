@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.channels import MEASUREMENTS
 from twin.logs.columns import Array
-from twin.logs.datum import radii
+from twin.logs.datum import Plane
 from twin.logs.diagnosis.findings import Recording
 from twin.logs.diagnosis.position import in_degrees, velocity_on_fixes
 from twin.logs.diagnosis.signs import turned_by
@@ -118,9 +118,8 @@ def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
     if not first.any():
         return None
-    to_north, to_east = radii(float(lat[first][0]))
-    north = np.radians(lat - lat[first][0]) * to_north
-    return clean(t, np.column_stack([north, np.radians(lon - lon[first][0]) * to_east]))
+    plane = Plane(float(lat[first][0]), float(lon[first][0]))
+    return clean(t, np.column_stack(plane.metres(lat, lon)))
 
 
 def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
