@@ -6,7 +6,7 @@ import dataclasses
 import json
 import pickle
 import sys
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 
 import numpy as np
 import polars as pl
@@ -24,7 +24,7 @@ from twin.logs.errors import LogError
 from twin.logs.tables import ExportError, StateTable
 
 PLACE = 63.4401, 10.3967
-EPOCH = datetime(2024, 4, 23, 12, 22, 10, 250000, timezone.utc).timestamp()
+EPOCH = datetime(2024, 4, 23, 12, 22, 10, 250000, UTC).timestamp()
 HERE = Datum(latitude=PLACE[0], longitude=PLACE[1], epoch=EPOCH)
 
 
@@ -451,7 +451,7 @@ def test_commands_write_each_kind_of_file(files):
         assert code == 0, said
     state, ahead = (pl.read_parquet(files / f"{name}.parquet") for name in ("state", "ahead"))
     assert len(state) == 120 and len(ahead) == 100
-    assert ahead["time_utc"][-1] == datetime(2024, 4, 23, 12, 22, 32, 150000, timezone.utc)
+    assert ahead["time_utc"][-1] == datetime(2024, 4, 23, 12, 22, 32, 150000, UTC)
     assert {"low_x_m", "high_psi_rad", "sd_u_mps", "latitude_deg"} <= set(ahead.columns)
     for name, points in (("state", 117), ("ahead", 100)):
         content = json.loads((files / f"{name}.geojson").read_text(encoding="utf-8"))

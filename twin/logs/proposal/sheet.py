@@ -65,9 +65,6 @@ def _text_of(file: ParquetFile) -> pl.DataFrame:
     """Return the first rows of a file as text, without columns of lists."""
     import polars as pl
 
-    for name in file.header:
-        if file.header.count(name) > 1:
-            raise LogError(twice_said(file.path, name, "the header"))
     parts: list[pl.DataFrame] = []
     for frame in file.frames(file.header, _ROWS):
         plain = [name for name, kind in frame.schema.items() if not kind.is_nested()]
