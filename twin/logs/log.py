@@ -44,7 +44,7 @@ from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.diagnosis.findings import equal_times
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, ParquetFile, shorten, twice_said
-from twin.logs.mapping import Layout, layout_of, lone_sides
+from twin.logs.mapping import Layout, layout_of, lone_sides, mapping_path
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.rosbag import is_bag, read_bag
 from usv_kernel.files import replacing
@@ -283,7 +283,8 @@ class Log:
         mapping : str or Path, optional
             TOML file that says which column or message is which column of the log: see
             ``twin/logs/mapping.py`` and ``twin/logs/mappings/ros2_example.toml``. Left out:
-            ``<log>.mapping.toml`` next to the log, if there is one. A bag needs one.
+            ``<log>.mapping.toml`` next to the log, if there is one. A bag needs one. Or the name of
+            one that ships or that another package adds.
 
         Returns
         -------
@@ -359,7 +360,7 @@ def sibling_path(path: str | Path, suffix: str) -> Path:
 def mapping_of(path: Path, mapping: str | Path | None = None) -> Path | None:
     """Return the mapping file of a log: the one that is given, else the one next to it, if any."""
     if mapping is not None:
-        return Path(mapping)
+        return mapping_path(mapping)
     found = sibling_path(path, ".mapping.toml")
     return found if found.exists() else None
 

@@ -37,7 +37,7 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.logs import files
+from twin.logs import files, mapping
 from twin.logs import readers as table
 from twin.logs.errors import LogError
 from twin.logs.log import Log, sibling_path
@@ -580,3 +580,29 @@ def test_a_twin_follows_a_bag_of_many_rates(tmp_path: Path) -> None:
     twin.run(seen)
     # 2 m/s with fixes of 0.1 m twice a second
     assert np.hypot(*(twin.estimate().state[:2] - log.z[-5, :2])) < 1.5
+
+
+def test_a_package_adds_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path / "our.toml", 'files = "sail*"\n' + FOREIGN)
+    written(tmp_path / "our_logger.py", "MAPPING = __file__.replace('our_logger.py', 'our.toml')")
+    info = tmp_path / "our_logger-1.0.dist-info"
+    info.mkdir()
+    written(info / "METADATA", "Metadata-Version: 2.1\nName: our-logger\nVersion: 1.0\n")
+    points = "ours = our_logger:MAPPING\nbroken = our_logger:NOTHING\n"
+    written(info / "entry_points.txt", f"[{mapping.GROUP}]\n{points}")
+    monkeypatch.syspath_prepend(tmp_path)
+    log = run()
+    for name in ("sail_1.csv", "other.csv"):
+        foreign(log).write_csv(tmp_path / name)
+    mapping._known.cache_clear()
+    try:
+        with pytest.raises(LogError, match="our_logger:NOTHING"):
+            Log.read(tmp_path / "other.csv", "broken")
+        del mapping._known()["broken"]
+        named = Log.read(tmp_path / "other.csv", "ours")
+        found = Log.read(tmp_path / "sail_1.csv")
+        np.testing.assert_array_equal(found.z, named.z)
+        with pytest.raises(LogError, match="missing"):
+            Log.read(tmp_path / "other.csv")
+    finally:
+        mapping._known.cache_clear()
