@@ -26,7 +26,6 @@ from tests.twin.logs.foreign import (
     run,
     written,
 )
-from twin import Twin
 from twin.channels import (
     AHRS_PITCH,
     AHRS_ROLL,
@@ -568,18 +567,6 @@ def test_commands_take_mapped_files_and_bags(
     code, said = command("benchmark", "--log", "bag", "--mapping", "else.toml", *scored)
     assert code == 0, said
     assert (tmp_path / "out" / "runs" / "bag_none_0_persistence.json").exists()
-
-
-def test_a_twin_follows_a_bag_of_many_rates(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    log = run(400)
-    path = record(tmp_path / "bag", log, "MCAP", late=20_000_000)
-    mapping = written(tmp_path / "m.toml", ALL_ROWS)
-    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
-    seen = Log.read(path, mapping)
-    twin.run(seen)
-    # 2 m/s with fixes of 0.1 m twice a second
-    assert np.hypot(*(twin.estimate().state[:2] - log.z[-5, :2])) < 1.5
 
 
 def test_a_package_adds_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

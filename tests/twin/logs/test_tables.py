@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import pickle
-import sys
 from datetime import UTC, datetime
 
 import numpy as np
@@ -202,28 +201,6 @@ def test_latitude_longitude_and_date_become_the_datum(tmp_path, stated):
         np.testing.assert_allclose(again.z[3:, :2], log.z[3:, :2], atol=1e-6)
 
 
-def test_notes_name_the_columns_of_the_file_once_and_count_empty_positions(tmp_path):
-    log = run()
-    latitude, longitude = HERE.plane.degrees(log.z[:, 0], log.z[:, 1])
-    latitude[20:25], longitude[20:25] = 0.0, 0.0
-    heading = log.z[:, 4].copy()
-    heading[31] = heading[30]
-    columns = dict(zip(COMMANDS, log.cmd.T, strict=True))
-    frame = {"t_s": log.t, "lat": latitude, "lon": longitude, "hdg": heading, **columns}
-    path = tmp_path / "foreign.csv"
-    pl.DataFrame(frame).fill_nan(None).write_csv(path)
-    (tmp_path / "foreign.mapping.toml").write_text(
-        '[columns]\nt_s = "t_s"\ncompass_rad = "hdg"\n'
-        + "".join(f'{name} = "{name}"\n' for name in COMMANDS)
-        + '[position]\nlatitude = "lat"\nlongitude = "lon"\n',
-        encoding="utf-8",
-    )
-    notes = Log.read(path).notes
-    assert sum("lat and lon: 5 of" in note and "(0, 0)" in note for note in notes) == 1
-    assert sum(note.startswith("lat and lon: no value in") for note in notes) == 1
-    assert any(note.startswith("hdg: ") and "repeat the last one" in note for note in notes)
-
-
 def test_seconds_since_1970_are_a_date(tmp_path):
     log = run(datum=None)
     path = tmp_path / "run.csv"
@@ -392,16 +369,6 @@ def test_geojson_has_longitude_before_latitude(tmp_path):
     assert (north, east) == pytest.approx((5.0, -3.0), abs=1e-6)
 
 
-def test_geojson_is_taken_by_other_parsers(tmp_path):
-    shapely = pytest.importorskip("shapely.geometry")
-    geojson = pytest.importorskip("geojson")
-    small().write(tmp_path / "a.geojson")
-    content = geojson.loads((tmp_path / "a.geojson").read_text(encoding="utf-8"))
-    assert content.is_valid and len(content["features"]) == 3
-    point = shapely.shape(content["features"][1]["geometry"])
-    assert (point.x, point.y) == pytest.approx((PLACE[1], PLACE[0]), abs=1e-12)
-
-
 def test_a_track_is_cut_at_the_date_line(tmp_path):
     table = StateTable.of(
         {"t_s": np.arange(4.0), "x_m": np.zeros(4), "y_m": [-200.0, -100.0, 100.0, 200.0]},
@@ -429,12 +396,6 @@ def test_pandas_gets_the_table_where_it_is_installed():
     assert list(frame.columns) == list(small().dtype.names)
     assert frame["time_utc"][0] == pandas.Timestamp("2024-04-23T12:22:10.25", tz="UTC")
     assert frame["x_m"].isna().tolist() == [False, True, False]
-
-
-def test_missing_pandas_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install pandas.*to_polars"):
-        small().to_pandas()
 
 
 # --- commands ---------------------------------------------------------------------------------
