@@ -321,7 +321,7 @@ def _find_logs(logs: list[Path]) -> tuple[tuple[str, ...], dict[str, str]]:
     for given in logs:
         try:
             found += match_files(given)
-        except LogError as error:  # noqa: PERF203
+        except LogError as error:
             missing[str(given)] = str(error)
     if missing and not found:
         raise LogError("; ".join(missing.values()))

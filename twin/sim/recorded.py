@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from twin.digital_twin import Twin, TwinError
-from twin.logs import datasets as archive
 from twin.logs.autopilot.outputs import particulars_of_parameters
 from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
+from twin.logs.datasets import known_ship
 from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
@@ -46,8 +46,8 @@ def read_run(
 
 
 def has_particulars(path: str | Path) -> bool:
-    """Return whether a log states its boat: in a file next to it, or as a run of an archive."""
-    return sibling_path(path, ".toml").exists() or archive.known(path)
+    """Return whether a log states its boat: in a file next to it, or by columns that are known."""
+    return sibling_path(path, ".toml").exists() or known_ship(path) is not None
 
 
 def particulars_for_log(
@@ -55,17 +55,20 @@ def particulars_for_log(
 ) -> Particulars:
     """Return the particulars for a log.
 
-    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat. ``ship`` is a TOML file of particulars, of one boat or several (``[[ship]]``,
-    see :meth:`twin.particulars.Particulars.load`). Or it is the name or file of a vessel of
-    ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file
-    and remedy; a log without particulars is such an error.
+    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of a boat
+    that is known by the columns of the log. ``ship`` is a TOML file of particulars, of one boat or
+    several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`). Or it is the name or file
+    of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
+    VesselError: file and remedy; a log without particulars is such an error.
 
     A vessel that an autopilot's log is of gets the log's unit of shaft speed, and the places of
     its sensors, from the autopilot's parameters. ``mapping`` is that of the log.
     """
     file = sibling_path(path, ".toml")
-    if ship is None and not has_particulars(path):
+    known = known_ship(path) if ship is None and not file.exists() else None
+    if known is not None:
+        return known
+    if ship is None and not file.exists():
         names = ", ".join(vessel_names())
         given = (path,) if mapping is None else (path, "--mapping", mapping)
         options = shlex.join(str(each) for each in given)
@@ -73,8 +76,6 @@ def particulars_for_log(
         raise ParticularsError(
             _NO_PARTICULARS.format(path=path, options=options, file=target, names=names)
         )
-    if ship is None and not file.exists():
-        return archive.ship(path)
     ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):

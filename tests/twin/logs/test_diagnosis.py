@@ -34,8 +34,8 @@ from tests.twin.logs.log_faults import (
 )
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.cli.pictures import draw_check
-from twin.logs import datasets
 from twin.logs.check import LogCheck
+from twin.logs.datasets import known_ship
 from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
 from twin.logs.diagnosis.heading import gyro_on_compass
@@ -485,7 +485,7 @@ def found_in(folder: str, run: str) -> dict[str, Finding]:
     boat = DATA / folder / boats[folder] if folder in boats else None
     found = diagnose(
         Recording.of(table.data, table.given, table.name, table.plane),
-        Particulars.load(boat) if boat else datasets.ship(path),
+        Particulars.load(boat) if boat else known_ship(path),
     )
     return {f.code: f for f in found.findings if f.severity != NOTE}
 

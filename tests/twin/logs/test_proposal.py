@@ -278,16 +278,6 @@ def test_swapped_latitude_and_longitude_are_refused(tmp_path: Path, run: Log) ->
 
 
 @pytest.mark.parametrize(
-    "form",
-    ["%d.%m.%Y %H:%M:%S.%f", "%m/%d/%y %I:%M:%S.%f %p", "%H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f"],
-)
-def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) -> None:
-    path = write(tmp_path / "run.csv", run, {**LOGGERS["American"], "Time": stamps(form)})
-    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
-    assert np.abs(Log.read(path).t - run.t).max() < 2e-3
-
-
-@pytest.mark.parametrize(
     ("texts", "formats"),
     [
         (["2024-05-03T09:30:00+02:00"], [""]),
@@ -388,12 +378,3 @@ def test_parquet_of_other_programs_is_proposed(run: Log, tmp_path: Path) -> None
     frame.write_parquet(tmp_path / "a.parquet", row_group_size=50)
     text = propose(tmp_path / "a.parquet").text("a.parquet")
     assert "gps_x_m" in text and "compass_rad" in text
-
-
-def test_parquet_with_two_columns_of_one_name_says_so(tmp_path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.table([[0.0, 1.0], [3.0, 4.0]], names=["t", "t"]), tmp_path / "a.parquet")
-    with pytest.raises(LogError, match="column t stands twice in the header"):
-        propose(tmp_path / "a.parquet")

@@ -37,6 +37,7 @@ __all__ = [
     "entry",
     "known",
     "pick",
+    "put",
     "read_columns",
 ]
 
@@ -65,9 +66,6 @@ def _text_of(file: ParquetFile) -> pl.DataFrame:
     """Return the first rows of a file as text, without columns of lists."""
     import polars as pl
 
-    for name in file.header:
-        if file.header.count(name) > 1:
-            raise LogError(twice_said(file.path, name, "the header"))
     parts: list[pl.DataFrame] = []
     for frame in file.frames(file.header, _ROWS):
         plain = [name for name, kind in frame.schema.items() if not kind.is_nested()]
@@ -154,6 +152,21 @@ def entry(name: str, source: str, unit: str = "", more: str = "", why: str = "")
 def add_line(found: Proposal, table: str, line: str) -> None:
     """Add a line to a table of the mapping."""
     found.lines.setdefault(table, []).append(line)
+
+
+def put(
+    columns: Columns,
+    found: Proposal,
+    target: str,
+    name: str,
+    unit: str = "",
+    more: str = "",
+    why: str = "",
+    *,
+    table: str = "columns",
+) -> None:
+    """Take a column, and add the line that makes a column of the log of it."""
+    add_line(found, table, entry(target, columns.take(name), unit, more, why))
 
 
 def known(values: Array) -> Array:

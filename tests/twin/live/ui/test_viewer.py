@@ -335,7 +335,7 @@ async def _watch(url: str, seconds: float) -> int:
         while (left := end - time.monotonic()) > 0.0:
             try:
                 await asyncio.wait_for(socket_.recv(), left)
-            except asyncio.TimeoutError:
+            except TimeoutError:
                 break
             came += 1
     return came
