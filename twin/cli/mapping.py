@@ -1,4 +1,4 @@
-"""``usv-twin mapping new``: propose a mapping file for a log of other columns."""
+"""``usv-twin mapping``: propose a mapping file for a log of other columns."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ZONE = r"[+-](0\d|1[0-4]):[0-5]\d"
 """How far a clock is ahead of UTC."""
 
 
-def mapping_new_command(
+def mapping_command(
     log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz or Parquet.")],
     out: Annotated[
         Path | None,
@@ -61,7 +61,7 @@ def mapping_new_command(
         note(f"please check: {question}")
     for name in found.missing:
         note(f"{name}: no column seems to hold it; complete the mapping")
-    console.print(f"mapping: {path}; try it with usv-twin log check {log}", soft_wrap=True)
+    console.print(f"mapping: {path}; try it with usv-twin check {log}", soft_wrap=True)
 
 
 def _is_interactive() -> bool:

@@ -16,21 +16,40 @@ from twin.cli.common import (
     console,
     radians,
 )
-from twin.cli.interfaces.common import (
-    ExternalOption,
-    MaxSdOption,
-    ResumeOption,
-    ViewOption,
-    ViewPortOption,
-    counted,
-    navigation_of,
-)
 from twin.cli.view import feed_twin, show_session
 from twin.live.external.link import Link, LinkSession
+from twin.live.external.navigation import KINDS, ExternalNavigation, ExternalOptions
 from twin.live.external.receiver import ReceiverFeed
 from twin.live.protocols.mavlink import Servos
 from twin.predictors.registry import DEFAULT
 from usv_gym.vessel.vessel import vessel_names
+
+ExternalOption = Annotated[
+    str,
+    typer.Option(
+        help=f"How the twin reaches the autopilot: {', '.join(KINDS)}; off: not at all. position "
+        "is odometry for an EKF that takes the place alone."
+    ),
+]
+
+MaxSdOption = Annotated[
+    float,
+    typer.Option(min=0.1, help="The twin gives up above this standard deviation of its place, m."),
+]
+
+ResumeOption = Annotated[
+    bool,
+    typer.Option(
+        "--resume", help="Leave Hold again, if the failsafe of the autopilot's EKF was faster."
+    ),
+]
+
+ViewOption = Annotated[bool, typer.Option("--view", help="Show boat and twin in the browser.")]
+
+ViewPortOption = Annotated[
+    int, typer.Option(min=1, max=65535, help="Port of the page; if taken, the next one.")
+]
+
 
 PAUSE = 0.005
 """Time between two looks at the wire, s."""
@@ -94,3 +113,21 @@ def link_command(
         console.print("stopped")
     console.print(f"external navigation: {navigation.status}", highlight=False)
     console.print(f"messages: {counted(feed.counts)}", highlight=False, soft_wrap=True)
+
+
+def navigation_of(kind: str, max_sd: float, resume: bool) -> ExternalNavigation | None:
+    """Return external navigation that prints its events; None if it is off."""
+    if kind == "off":
+        return None
+    options = ExternalOptions(kind=kind, max_sd=max_sd, resume=resume)
+    return ExternalNavigation(options, say)
+
+
+def say(t: float, text: str) -> None:
+    """Print an event with its time, s."""
+    console.print(f"{t:9.2f} s  {text}", highlight=False, soft_wrap=True)
+
+
+def counted(counts: dict[str, int]) -> str:
+    """Return counts in words."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if count) or "nothing"

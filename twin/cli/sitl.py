@@ -26,7 +26,7 @@ from twin.cli.common import (
     radians,
     write_text,
 )
-from twin.cli.interfaces.common import (
+from twin.cli.link import (
     ExternalOption,
     MaxSdOption,
     ResumeOption,
@@ -34,8 +34,6 @@ from twin.cli.interfaces.common import (
     ViewPortOption,
     counted,
     navigation_of,
-    numbered,
-    parse_place,
     say,
 )
 from twin.digital_twin import Twin
@@ -151,7 +149,7 @@ def sitl_command(
     if twin is not None or view:
         model = _twin(boat, twin or DEFAULT, sensors)
     navigation = navigation_of(external, max_sd, resume) if twin is not None else None
-    latitude, longitude = parse_place(home, "--home")
+    latitude, longitude = _place(home)
     logs = _Logs(out, boat, sensors)
     if navigation is not None:
         navigation.note = logs.event
@@ -182,6 +180,20 @@ def sitl_command(
     console.print(f"packets: {counted(backend.counts)}", highlight=False)
     if port is not None:
         console.print(f"MAVLink: {counted(port.counts)}", highlight=False)
+
+
+def _numbered(path: Path, number: int) -> Path:
+    """Return the name of one of several logs; the first has the name as given."""
+    return path if number == 0 else path.with_name(f"{path.stem}_{number + 1}{path.suffix}")
+
+
+def _place(text: str) -> tuple[float, float]:
+    """Return latitude and longitude of ``LAT,LON``, degrees."""
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError:
+        raise OptionError(f"--home {text}: write LAT,LON in degrees, as 59.9,10.7") from None
+    return latitude, longitude
 
 
 def _for(external: str) -> dict[str, float]:
@@ -256,7 +268,7 @@ class _Logs:
         events, self.events = self.events, []
         if self.out is None:
             return
-        path = numbered(self.out, self.written)
+        path = _numbered(self.out, self.written)
         self.written += 1
         path.parent.mkdir(parents=True, exist_ok=True)
         log.write(path)
