@@ -132,7 +132,7 @@ class Twin:
         self.health_history = HealthHistory(self.monitor, self._troubles)
         self.begun = math.nan
         self.datum: Datum | None = None
-        self.t = self._lost_at = math.nan
+        self.t = self._lost_at = self._noted = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
     def reset(self) -> None:
@@ -141,7 +141,7 @@ class Twin:
         self.motion.reset()
         self.monitor.reset()
         self.health_history.reset()
-        self.t = self.begun = self._lost_at = math.nan
+        self.t = self.begun = self._lost_at = self._noted = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
     def save(self, path: str | Path) -> None:
@@ -337,7 +337,11 @@ class Twin:
         """Note which sensors, or the navigation, changed their status in the row just taken."""
         if self.predictor.lost:
             self._lost_at = self.t
-        self.health_history.take(self.t, self.begun)
+        # troubles of roll, pitch, heave and navigation are no part of that number
+        others = self.motion.active or math.isfinite(self._lost_at)
+        if others or self.monitor.all_statuses != self._noted:
+            self._noted = self.monitor.all_statuses
+            self.health_history.take(self.t, self.begun)
 
     @property
     def health(self) -> dict[str, SensorStatus]:

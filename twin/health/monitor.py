@@ -32,7 +32,9 @@ __all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
 Array = NDArray[Any]
 
 
-_CLOCK, _DUE, _RESTARTS = (field_at(HEALTH, name) for name in ("clock", "current_due", "restarts"))
+_CLOCK, _DUE, _RESTARTS, _ALL_STATUSES = (
+    field_at(HEALTH, name) for name in ("clock", "current_due", "restarts", "statuses")
+)
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
@@ -171,6 +173,11 @@ class SensorMonitor:
         if self.memory[_RESTARTS] == 0.0 and self.memory[_RESTARTS + 1] == 0.0:
             return None
         return self.record["restarts"], self.record["restarted"]
+
+    @property
+    def all_statuses(self) -> float:
+        """One number for the statuses of all sensors: it differs where one of them does."""
+        return self.memory.item(_ALL_STATUSES)
 
     def wants_current(self, dt: float) -> bool:
         """Return whether the next row, after dt s, looks at the current of the model."""

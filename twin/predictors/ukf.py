@@ -63,7 +63,7 @@ from twin.predictors.model_aid import aid_by_model
 from twin.predictors.without_gps import restart_model, try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import as_record
+from usv_kernel.records import as_record, field_at
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -99,6 +99,9 @@ speed; that of a smaller one lasts less."""
 
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
+
+
+_LOST = field_at(NAVIGATION, "lost")
 
 
 class UKFMemory(NamedTuple):
@@ -555,7 +558,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def lost(self) -> bool:
         """See :attr:`twin.predictors.base.Predictor.lost`."""
-        return bool(self._nav["lost"] > 0.0)
+        return self.memory.nav.item(_LOST) > 0.0
 
     @property
     def navigation(self) -> Array:

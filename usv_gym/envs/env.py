@@ -332,8 +332,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=False)),
         }
         if self.observer:
-            for name, values in self.observer.infos().items():
-                info[name] = values.item(0)
+            info |= self.observer.first_infos()
         return info
 
 
