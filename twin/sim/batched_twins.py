@@ -517,7 +517,7 @@ class CompiledTwins(TwinObserver):
             self._notes[rows],
             self.episodes.shared[self.kind],
             self._settings.copy() if own else self._settings,
-            self.motions[rows],
+            self.motions[rows] if self.motions.shape[1] else None,
             self.first.motion.settings,
             self._motion_work.copy() if own else self._motion_work,
         )
