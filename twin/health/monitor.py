@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
-from twin.checkpoint import COUNT, Field, State, check_fields, fill, record_views
+from twin.checkpoint import State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
     HEALTH,
     HEALTH_SETTINGS,
-    HYPOTHESES,
     OK,
     REASONS,
     SENSORS,
@@ -41,31 +40,6 @@ _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
 )
 
 _CURRENT = slice(field_at(HEALTH, "current"), field_at(HEALTH, "current") + 3)
-
-_LATER = (
-    "wind.",
-    "turn",
-    "current",
-    "velocity_step",
-    "accel_mean",
-    "velocity_repeated",
-    "velocity_longest",
-    "sensors.in_use",
-    "targets",
-    "row_command",
-    "gyro_scale",
-    "course_for_compass",
-    "unaided",
-    "restart",
-    "row_interval",
-    "row_gap",
-    "gap_way",
-    "stand_",
-    "since_leap",
-    "motion_doubted",
-)
-"""Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
-missing, it gets its initial values."""
 
 
 class SensorStatus(NamedTuple):
@@ -265,39 +239,5 @@ class SensorMonitor:
         StateError
             Names the field that is missing or damaged.
         """
-        views = self.views()
-        blank = SensorMonitor.__new__(SensorMonitor)
-        blank.remember(initial_health())
-        # saved before there were some of the checks: then all fields of a group are missing
-        for group in _LATER:
-            if not any(name.startswith(group) for name in state):
-                new = {k: v for k, v in blank.state_dict().items() if k.startswith(group)}
-                state = new | state
-        check_fields(state, views, FIELDS)
-        fill(views, state)
-
-
-_POSITIVE = Field(low=0.0)
-
-FIELDS = {
-    **dict.fromkeys(
-        ("last", "fix", "velocity", "course", "course_compass", "stand_mean", "stand_at"),
-        Field(nan=True),
-    ),
-    **dict.fromkeys(("current", "current_past"), Field(nan=True)),
-    # indices of names
-    "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
-    "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
-    "wind.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
-    "wind.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
-    **dict.fromkeys(("wind.silent", "wind.age", "wind.known", "wind.changing"), Field(low=0.0)),
-    "turn_rows": COUNT,
-    "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
-    # what is divided by
-    **dict.fromkeys(
-        ("sensors.interval", "heading_level", "position_level", "pull_level"), _POSITIVE
-    ),
-    **dict.fromkeys(("velocity_level", "unaided_level", "wave_level", "clock"), _POSITIVE),
-    "filters.P": Field(covariance=True),
-}
-"""What the fields of a saved state may hold."""
+        check_fields(state, self.views())
+        fill(self.views(), state)

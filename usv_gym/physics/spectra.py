@@ -140,14 +140,6 @@ def moments(omega: Array, density: Array) -> Moments:
     )
 
 
-def quantile_frequencies(quantiles: Array, omega: Array, density: Array) -> Array:
-    """Return the frequencies in rad/s below which given shares (0 to 1) of the energy lie.
-
-    ``omega`` (rad/s) rises, on a grid fine enough for trapezoids.
-    """
-    return np.interp(quantiles, energy_shares(omega, density), omega)
-
-
 def energy_shares(omega: Array, density: Array) -> Array:
     """Return the share of the energy below each point of a spectrum, by trapezoids."""
     below = np.concatenate([[0.0], np.cumsum(_cells(omega, density))])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin import Log, StateError, Twin
+from twin import Log, Twin
 from twin.benchmark.motion_scores import MOTION_HORIZONS, MotionScore, MotionTruth, motion_table
 from twin.channels import (
     AHRS_PITCH,
@@ -315,18 +315,6 @@ def test_a_saved_twin_goes_on_to_the_bit(tmp_path) -> None:
     assert b is not None
     for name in ("mean", "sd", "quiet"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-def test_a_saved_memory_that_does_not_fit_its_times_is_refused() -> None:
-    """A kernel would run through the missing rows for ever."""
-    motion = DeckMotion(BOAT)
-    z = still_boat(1e-3 * np.random.default_rng(0).standard_normal((50, 7)))
-    for k in range(50):
-        motion.take(0.05 * k, 0.05 if k else 0.0, z[k], np.zeros(6), True)
-    state = motion.state_dict()
-    state["forecast.begun"] = state["forecast.begun"] - 1e9
-    with pytest.raises(StateError, match=r"forecast\.rows"):
-        DeckMotion(BOAT).load_state_dict(state)
 
 
 def test_after_a_gap_it_forecasts_the_mean_until_the_past_is_known() -> None:

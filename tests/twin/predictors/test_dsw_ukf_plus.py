@@ -40,7 +40,6 @@ from twin.predictors.plus_update import (
     _fit_waves,
     _slow_step,
     plus_step,
-    take_segments,
 )
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -354,19 +353,6 @@ def test_forecasts_between_two_refits_are_not_scored(boat: Particulars, zigzag: 
     for predictor in (rare, often):
         feed(predictor, zigzag)
     assert 0 < rare.selector.scored < often.selector.scored
-
-
-def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, zigzag: Log) -> None:
-    predictor = PlusPredictor(boat, period=2.0)
-    feed(predictor, zigzag.slice(0.0, 20.0))
-    # a year later by the grid, before any refit
-    predictor.window["halves"] += 3e7 / (0.5 * GRID)
-    own = predictor.segments
-    tried = take_segments(predictor.memory, predictor.config, predictor.work)
-    assert 0 < tried <= len(predictor.rows) / predictor.spacing + 1
-    # and the walk over times between a segment's begin and end is as short
-    ahead = predictor.last_row - predictor.window["next_start"]
-    assert ahead <= own.steps + predictor.spacing
 
 
 def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigzag: Log) -> None:
