@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import typer
 
-from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
@@ -75,7 +74,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "replay": replay_command,
     "sitl": sitl_command,
     "link": link_command,
-    "bench": bench_command,
     "soak": soak_command,
     "fmu": fmu_command,
 }

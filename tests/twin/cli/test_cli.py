@@ -283,8 +283,6 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("benchmark --log none.csv", ["none.csv", "no such file"]),
         ("benchmark --log /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),
         ("benchmark --log .", [".: no such file", "pattern"]),
-        ("bench --only xyz", ["xyz", "no such case"]),
-        ("bench --json .", ["--json .", "must be a file"]),
     ],
 )
 def test_wrong_options_are_named_and_nothing_is_written(empty, arguments, words):
