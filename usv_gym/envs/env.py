@@ -299,7 +299,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             raise UsvTwinError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
-        self._show()
+        if self.renderer:
+            self._show()
         progress = self._progress.tolist()
         terminated = progress[_TERMINATED] != 0.0
         return self._shown(obs), progress[_REWARD], terminated, False, self._info(progress)

@@ -501,11 +501,11 @@ class Episodes:
             if len(watching) == len(callbacks):
                 return self._step_blocks(obs, self._countdown, watching)
         for left in self._countdown:
-            before, active = self._before_step() if self._own else (None, None)
+            before = self._before_step() if self._own else None
             if not self._step(obs, left):
                 return False
-            if before is not None and active is not None:
-                self._score(before, active, left)
+            if before:
+                self._score(*before, left)
             for callback in callbacks:
                 callback.observe(obs, left == 0)
         return True
@@ -538,8 +538,7 @@ class Episodes:
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if len(self.blocks) > 1:
             return self._step_blocks(obs, (left,))
-        arguments = (*self._arguments[0], obs, left)
-        result = _step(*arguments)
+        result = _step(*self._arguments[0], obs, left)
         if result == RAN_AWAY:
             raise self.simulation.runaway()
         return bool(result == DONE)
