@@ -26,6 +26,8 @@ STEPS = 512
 """Environment steps in a burst: a boat's block of noise, and several forecasts."""
 BOATS, BATCH_STEPS = 256, 60
 """Boats of a batch, and its steps in a burst."""
+DT = 0.05
+"""Time between rows, s."""
 AHEAD = np.array([0.8, 0.1], np.float32)
 """Action of a wide turn: shaft speed and drive angle."""
 
@@ -60,29 +62,34 @@ def batch(twin: str | None) -> Burst:
 
 
 def running_twin(predictor: str, **options: object) -> tuple[Twin, Callable[[], None]]:
-    """Return a twin after two minutes of a zigzag, and what gives it another second of rows."""
+    """Return a twin after two minutes of a zigzag, and what gives its predictor 200 rows more."""
     vessel = usv_gym.Vessel.load("usv75")
     sea = usv_gym.SeaState.named("2")
     log = simulate("zigzag", vessel=vessel, sea=sea, duration=120.0, seed=0)
     twin = Twin(particulars_of(vessel), predictor, **options)
     twin.run(log)
-    rows = list(zip(log.z[-20:], log.cmd[-20:], strict=True))
+    rows = list(zip(log.z[-200:], log.cmd[-200:], strict=True))
 
-    def second() -> None:
-        begin = twin.t
+    def more() -> None:
+        begin = twin.predictor.estimate().t
         for k, (z, cmd) in enumerate(rows, start=1):
-            twin.step(begin + 0.05 * k, z, cmd)
+            twin.predictor.update(begin + DT * k, DT, z, cmd)
 
-    return twin, second
+    return twin, more
 
 
 def rows(predictor: str, **options: object) -> Burst:
-    return running_twin(predictor, **options)[1], 20
+    return running_twin(predictor, **options)[1], 200
 
 
 def forecast(predictor: str) -> Burst:
     twin = running_twin(predictor)[0]
-    return lambda: twin.predict(horizon=10.0), 1
+
+    def run() -> None:
+        for _ in range(10):
+            twin.predict(horizon=10.0)
+
+    return run, 10
 
 
 def sail(twin: str | None, **options: object) -> Burst:
@@ -100,7 +107,7 @@ CASES: dict[str, Callable[[], Burst]] = {
     f"batch of {BOATS} with ukf, a boat": lambda: batch("ukf"),
     "row of ukf": lambda: rows("ukf"),
     "row of dsw-ukf-plus": lambda: rows("dsw-ukf-plus"),
-    "row and refit of dsw-ukf-plus": lambda: rows("dsw-ukf-plus", period=0.05),
+    "row and refit of dsw-ukf-plus": lambda: rows("dsw-ukf-plus", period=DT),
     "10 s forecast of ukf": lambda: forecast("ukf"),
     "10 s forecast of dsw-ukf-plus": lambda: forecast("dsw-ukf-plus"),
 }

@@ -12,7 +12,7 @@ import math
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -517,13 +517,18 @@ class CompiledTwins(TwinObserver):
             self._notes[rows],
             self.episodes.shared[self.kind],
             self._settings.copy() if own else self._settings,
-            self.motions[rows] if self.motions.shape[1] else None,
-            self.first.motion.settings,
-            self._motion_work.copy() if own else self._motion_work,
+            *self._motion_arguments(rows, own),
         )
         scratch = copy.deepcopy(self._scratch) if own else self._scratch
         memory = (array[rows] for array in self.memory)
         return tuple(boats), tuple(memory), self._given, *scratch
+
+    def _motion_arguments(self, rows: slice, own: bool) -> tuple[Any, Any, Any]:
+        """Return what of :class:`Boats` is about roll, pitch and heave."""
+        if not self.motions.shape[1]:
+            return None, None, None
+        work = self._motion_work.copy() if own else self._motion_work
+        return self.motions[rows], self.first.motion.settings, work
 
     @property
     def rollout_inputs(self) -> RolloutInputs:
@@ -535,7 +540,7 @@ class CompiledTwins(TwinObserver):
         """What the models have in common: structure, lags, envelope, unit of shaft speed."""
         return self._predictor.ukf
 
-    _observe_rows = staticmethod(observe_ukf)
+    _observe_rows: ClassVar[Callable[..., Any]] = staticmethod(observe_ukf)
 
 
 def _compiled(twin: Twin) -> UKFPredictor:

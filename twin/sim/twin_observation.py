@@ -199,7 +199,8 @@ class Boats(NamedTuple):
     notes: Any  # see NOTE
     shared: Any  # see usv_gym.envs.episodes.EPISODES
     settings: Any  # see SETTINGS
-    motions: Any  # (n, size of MOTION); None with three degrees of freedom
+    # None with three degrees of freedom
+    motions: Any  # (n, size of MOTION)
     motion_settings: Any  # see MOTION_SETTINGS
     motion_work: Any  # see MOTION_WORK
 

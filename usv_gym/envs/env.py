@@ -30,6 +30,8 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
 
 _TERMS_END = _TERMS + N_TERMS
 
+_FLOAT32 = np.dtype(np.float32)
+
 
 class Recorded(NamedTuple):
     """What a step leaves in a log."""
@@ -285,7 +287,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
-            values = np.asarray(action, dtype=np.float64)
+            values = np.asarray(action)
+            if values.dtype is not _FLOAT32:
+                values = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError):
             raise UsvTwinError(f"action {action!r} is not an array of numbers") from None
         if values.shape != self._shape:

@@ -538,7 +538,8 @@ class Episodes:
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if len(self.blocks) > 1:
             return self._step_blocks(obs, (left,))
-        result = _step(*self._arguments[0], obs, left)
+        arguments = (*self._arguments[0], obs, left)
+        result = _step(*arguments)
         if result == RAN_AWAY:
             raise self.simulation.runaway()
         return bool(result == DONE)
