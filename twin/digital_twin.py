@@ -335,8 +335,9 @@ class Twin:
             self._lost_at = self.t
         # troubles of roll, pitch, heave and navigation are no part of that number
         others = self.motion.active or math.isfinite(self._lost_at)
-        if others or self.monitor.all_statuses != self._noted:
-            self._noted = self.monitor.all_statuses
+        statuses = self.monitor.all_statuses
+        if others or statuses != self._noted:
+            self._noted = statuses
             self.health_history.take(self.t, self.begun)
 
     @property

@@ -170,8 +170,12 @@ class TwinObserver(Observer):
                 f"twin_quiet_{span:g}s": quiet[:, k] for k, span in enumerate(QUIET_SPANS)
             }
             self._infos["twin_hs_m"] = self.notes["hs"]
-        self._moving = tuple(name for name in self._infos if not name.startswith("twin_health_"))
-        """Infos that change in every step."""
+        self._moving = [
+            (name, values.item)
+            for name, values in self._infos.items()
+            if not name.startswith("twin_health_")
+        ]
+        """Infos that change in every step, and what reads them."""
         if observation == "twin_health":
             self.names += HEALTH_OBSERVATION
         elif observation == "twin_params":
@@ -202,8 +206,8 @@ class TwinObserver(Observer):
             self._first_statuses = statuses
             self._first_infos = super().first_infos()
         found = self._first_infos.copy()
-        for name in self._moving:
-            found[name] = self._infos[name].item(0)
+        for name, item in self._moving:
+            found[name] = item(0)
         return found
 
     def reset(self, i: int) -> None:
