@@ -292,7 +292,7 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path) -> None:
     """Every file of it cut off, overwritten or with a changed byte: the same number each time."""
     rng, answers = np.random.default_rng(5), []
     command = [sys.executable, "-c", DAMAGED]
-    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), warmup.QUIET: ""}
     for damage in range(5):
         done = subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT)
         assert not done.returncode, done.stderr
