@@ -65,8 +65,21 @@ def _set(memory, sensor, status, reason):
     if one.status != status or one.reason != reason:
         if one.status != status:
             one.since = memory.clock
-            memory.changes += 1.0
         one.status, one.reason = status, reason
+
+
+@inlined
+def _all_statuses(memory):
+    """Return one number for the statuses of all sensors: the digits of a number to base 4.
+
+    The digits of the wind are its status and whether it is known or has a reason.
+    """
+    wind = memory.wind
+    number = 1.0 if wind.reason > 0.0 or wind.known > 0.0 else 0.0
+    number = 4.0 * number + wind.status
+    for sensor in range(COMMANDS + 1):
+        number = 4.0 * number + memory.sensors[sensor].status
+    return number
 
 
 @inlined
@@ -265,3 +278,4 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
         doubted = doubted or LEFT_OUT[force, part] > 0.0
     memory.motion_doubted = 1.0 if doubted else 0.0
     check_wind(dt, out, state, ready, memory, given)
+    memory.statuses = _all_statuses(memory)

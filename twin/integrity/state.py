@@ -87,7 +87,7 @@ PARTS = 5
 INTEGRITY = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
-        ("changes", "f8"),  # how often a status has changed
+        ("statuses", "f8"),  # all statuses in one number: it differs where one of them does
         ("sensors", STATUS, len(SENSORS)),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while GPS or compass are left out, or sensors at odds
