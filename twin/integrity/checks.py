@@ -200,7 +200,11 @@ def _write_restart(memory, has_gps, given):
             cov[m, 3 + i] = P[m, VN] * (c if i == 0 else -s) + P[m, VE] * (s if i == 0 else c)
             cov[3 + i, m] = cov[m, 3 + i]
     cov[5, 5] = P[G, G] + given.bank.gyro_var
-    restart.position = 1.0 if has_gps else 0.0
+    used = False
+    for aid in range(2):
+        used = used or (bank.age[aid] < SILENT_S and LEFT_OUT[k, aid] == 0.0)
+    reckons = has_gps and one.uses_accelerometers > 0.0
+    restart.position = 1.0 if used or reckons else 0.0
     restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
     restart.surge = 0.0
     if not has_gps and k == NO_ACCELEROMETERS and memory.drives.steps > WARM_UP_STEPS:

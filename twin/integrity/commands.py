@@ -92,7 +92,10 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
-DRIFT = 0.2
+RETURNED = 5.0
+"""The same for sound commands, which are likelier from the start."""
+
+DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
 
 FADE = 0.99
@@ -103,6 +106,9 @@ SUSPECT = 1.0
 
 FREEDOM = 10.0
 """Degrees of freedom of Student's t: waves come in groups."""
+
+MODEL_ERROR = 0.25
+"""Standard deviation of what each term leaves out, as a share of it."""
 
 UNKNOWN_SD = 0.7
 """Standard deviation of the drive that unknown commands make, in nominal ones."""
@@ -146,6 +152,9 @@ WITNESS_S = 10.0
 
 DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
 """Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
+
+IDLE = 0.1
+"""A boat lies idle below this drive, yaw rate and surge, nominal units."""
 
 MOTION_MAX = 3.0
 """No boat turns or moves faster, in nominal units."""
@@ -273,7 +282,7 @@ def _spread(drives, axis, h, given):
         part = 0.0
         for j in range(TERMS):
             part += drives.P[axis, i, j] * row[j]
-        S += row[i] * part
+        S += row[i] * part + (MODEL_ERROR * row[i] * theta[i]) ** 2
     if h == UNKNOWN:
         size = theta[2] * theta[2]
         if axis == YAW:
@@ -390,6 +399,8 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
                 strongest = h
         if drives.evidence[strongest] > DECIDED:
             _put_in_force(drives, strongest, now)
+        elif drives.evidence[SOUND] > RETURNED:
+            _put_in_force(drives, SOUND, now)
         elif force != SOUND and now - drives.since > AGAIN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
@@ -463,6 +474,18 @@ def _follow(drives, yaw, surge, sway, span, trained):
         drives.surges[k] = own
 
 
+@inlined
+def _is_idle(drives, yaw, surge):
+    """Return whether neither the commands made anything in a step nor the boat moved.
+
+    Nothing is learned then: the residuals would fall to their least.
+    """
+    drive = 0.0
+    for i in range(4):
+        drive += abs(drives.sum[i])
+    return drive < IDLE and abs(yaw) < IDLE and abs(surge) < IDLE
+
+
 @kernel
 def _end_step(drives, motion, doubted, has_gps, now, given):
     """Weigh a step that has ended; return whether the commands explain it."""
@@ -485,7 +508,7 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
     _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
     suspected = True
-    if not doubted:
+    if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
         suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:

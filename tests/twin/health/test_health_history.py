@@ -6,11 +6,11 @@ import re
 
 import numpy as np
 import pytest
-
-from twin import Log, Twin
 from twin.health.history import KEPT, HealthHistory
 from twin.health.monitor import SensorMonitor
 from twin.health.state import ABSENT, EXCLUDED, OK, SENSORS
+
+from twin import Log, Twin
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, Vessel
 

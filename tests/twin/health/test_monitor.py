@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from twin.health.monitor import SensorStatus
 
 from tests.twin.health.watching import MANOEUVRES, START, base, watch, watch_fault
 from twin import Twin
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject
-from twin.health.monitor import SensorStatus
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 

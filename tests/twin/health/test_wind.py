@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 import pytest
+from twin.health.wind import SILENT_TIME, STUCK_TIME
 
 from twin import Twin
 from twin.channels import APPARENT_FROM, APPARENT_SPEED, WIND_SPEED
-from twin.health.wind import SILENT_TIME, STUCK_TIME
 from twin.logs.log import Log
 from twin.predictors.ukf import ModelPredictor
 from twin.sim.bridge import particulars_of, simulate

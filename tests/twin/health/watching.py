@@ -7,10 +7,10 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+from twin.health.state import SENSORS, STATUSES
 
 from twin import Twin
 from twin.benchmark.sensor_faults import SensorFault, inject
-from twin.health.state import SENSORS, STATUSES
 from twin.logs.log import Log
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel

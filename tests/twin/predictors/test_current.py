@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from twin.health.monitor import SensorMonitor
 
 from twin import Twin
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.channels import MEASUREMENTS
-from twin.health.monitor import SensorMonitor
 from twin.identification.data_weight import CHANGED, is_stable
 from twin.model.rollout import GRID
 from twin.sim.bridge import particulars_of, simulate

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from twin.health.monitor import SensorStatus
 
 from tests.twin.live.wire import Wire, estimate_of, with_motion
 from twin.channels import (
@@ -19,7 +20,6 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.nmea_writer import NOT_IN_NMEA, NmeaWriter
 from twin.particulars import Particulars
