@@ -39,8 +39,7 @@ def sample(suite: SensorSuite, state: np.ndarray, rate: np.ndarray, dt: float = 
     boat = np.zeros(1, BOAT_RECORD)[0]
     boat["state"], boat["mean_rate"], boat["t"], boat["step"] = state, rate, 1.0, 20
     numbers, delay_line = np.zeros(sensors.NOISE_SIZE), np.zeros((1, sensors.DELAYED))
-    faults = fault_records((), dt)
-    sensors.measure(boat, dt, suite.pack(dt), numbers, MOTION, faults, delay_line)
+    sensors.measure(boat, dt, suite.pack(dt), numbers, MOTION, delay_line)
     return boat["measurement"][: sensors.WIND_AT].copy()
 
 
