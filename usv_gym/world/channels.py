@@ -1,5 +1,4 @@
-"""The bits of sensors and commands, and the columns of sensors, in rows of
-``usv_kernel.channels``."""
+"""The bits of sensors and commands in a row, and the columns of the sensors."""
 
 from __future__ import annotations
 

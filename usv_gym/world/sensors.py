@@ -109,7 +109,11 @@ SENSORS = np.dtype(
         ("wind_bias", float),  # m/s
         ("wind_from_bias", float),  # rad
         ("wind", float, 2),  # apparent wind of this step before any fault, m/s and rad
-        ("last", float, STRUCK),  # what was handed out last, NaN before the first; see faults.strike
+        (
+            "last",
+            float,
+            STRUCK,
+        ),  # what was handed out last, NaN before the first; see faults.strike
     ]
 )
 """What the sensors of one boat remember."""

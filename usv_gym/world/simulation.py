@@ -268,7 +268,8 @@ class Simulation:
     suite : str or SensorSuite, optional
         Errors and rates of the sensors.
     faults : sequence of Disturbance or FaultSets
-        Faults of sensors, commands and thrusters: the same for every boat, or sets of which one is drawn at each reset.
+        Faults of sensors, commands and thrusters: the same for every boat, or sets of which one is
+        drawn at each reset.
     kinds : sequence of BoatClass, optional
         Kinds of boats, of which ``vessel`` is the first, see ``worlds``.
     dof : int

@@ -18,7 +18,6 @@ from usv_gym.physics import frames as fr
 from usv_gym.world import sensors
 from usv_gym.world.faults import (
     FaultError,
-    fault_records,
 )
 from usv_gym.world.sampling import is_due
 from usv_gym.world.simulation import Simulation
