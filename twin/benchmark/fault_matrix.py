@@ -31,7 +31,16 @@ from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 from usv_kernel.cache import running_program
 
-__all__ = ["FAULTS", "FaultRun", "MatrixFault", "Unit", "fault_runs", "matrix_units", "sailed", "tables"]
+__all__ = [
+    "FAULTS",
+    "FaultRun",
+    "MatrixFault",
+    "Unit",
+    "fault_runs",
+    "matrix_units",
+    "sailed",
+    "tables",
+]
 
 Array = NDArray[np.float64]
 
@@ -245,7 +254,7 @@ def _track(twin: Twin, log: Log, rows: Log, seconds: float, absent: str) -> _Tra
         later = int(np.searchsorted(log.t, t + HORIZON_S))
         error = prediction.start[:2] - log.truth[k, :2]
         ahead = prediction.mean[-1, :2] - log.truth[later, :2]
-        distance = error @ np.linalg.solve(prediction.start_cov[:2, :2], error)
+        distance = float(error @ np.linalg.solve(prediction.start_cov[:2, :2], error))
         found.append((float(np.hypot(*error)), float(np.hypot(*ahead)), distance < REGION_90))
     now, far, inside = np.array(found, dtype=np.float64).T
     return _Track(now, far, inside, named, frozenset(excluded))

@@ -123,28 +123,31 @@ axes or the two sides exchanged. ``late``: samples of some seconds ago. ``stall`
 the missed ones at twice their pace, until it has caught up. ``garbage``: numbers of any size.
 """
 
-_STRIKES_ALL = (*SENSOR_KINDS, *REPORTED)
-_STEADY = {
-    **dict.fromkeys(("gyro", "gyro_x", "gyro_y", "gyro_z"), (0.1, 0.01)),
-    **dict.fromkeys(("accelerometers", "accel_x", "accel_y", "accel_z"), (1.0, 0.1)),
-    "velocity": (1.0, 0.1),
-    "compass": (0.5, 0.05),
-    "ahrs": (0.1, 0.02),
-    "wind": (5.0, 0.5),
+_ROW_KINDS = (*SENSOR_KINDS, *REPORTED)
+"""Kinds that strike what a row says."""
+
+_BIASES = {
+    **dict.fromkeys(("gyro", "gyro_x", "gyro_y", "gyro_z"), 0.1),
+    **dict.fromkeys(("accelerometers", "accel_x", "accel_y", "accel_z"), 1.0),
+    "velocity": 1.0,
+    "compass": 0.5,
+    "ahrs": 0.1,
+    "wind": 5.0,
 }
+"""By kind, of those that have one unit, the usual bias; a ramp makes a tenth of it a second."""
 
 AMOUNTS: dict[str, dict[str, float | None]] = {
     **{name: dict.fromkeys(SENSOR_KINDS) for name in ("loss", "spikes")},
-    **{name: dict.fromkeys(_STRIKES_ALL) for name in ("frozen", "stall", "garbage")},
+    **{name: dict.fromkeys(_ROW_KINDS) for name in ("frozen", "stall", "garbage")},
     **{name: dict.fromkeys(FAULT_KINDS) for name in ("zero", "sign")},
-    "scale": {**dict.fromkeys(_STRIKES_ALL, 2.0), **dict.fromkeys(THRUSTERS, 0.7)},
+    "scale": {**dict.fromkeys(_ROW_KINDS, 2.0), **dict.fromkeys(THRUSTERS, 0.7)},
     "jump": {"gps": 20.0, "fixes": 20.0},
-    "bias": {kind: bias for kind, (bias, _) in _STEADY.items()},
-    "ramp": {"gps": 0.5, "fixes": 0.5, **{kind: ramp for kind, (_, ramp) in _STEADY.items()}},
+    "bias": dict(_BIASES),
+    "ramp": {"gps": 0.5, "fixes": 0.5, **{kind: bias / 10.0 for kind, bias in _BIASES.items()}},
     "swapped": dict.fromkeys(
         ("gps", "fixes", "velocity", "gyro", "accelerometers", "imu", "ahrs", "all", *REPORTED)
     ),
-    "late": dict.fromkeys(_STRIKES_ALL, 2.0),
+    "late": dict.fromkeys(_ROW_KINDS, 2.0),
 }
 """By effect, the kinds that have it, each with its amount where none is given; None: it takes none.
 
@@ -153,6 +156,7 @@ unit of the sensor (m/s, rad, rad/s, m/s2), of ``ramp`` that a second. All axes 
 of GPS velocity the northern one, of the wind its speed."""
 
 RENAMED = {"reversed": "sign", "scaled": "scale"}
+"""Names that effects had before, for the message that refuses them."""
 
 _FACTORS = {"zero": 0.0, "sign": -1.0}
 """Factors of effects that have one of their own."""
