@@ -38,13 +38,13 @@ def fault_start(settings: Settings, identify: float) -> float:
 
 
 def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
-    """Return a log with faults of its sensors; equal arguments give equal logs."""
+    """Return a log with faults of its sensors and commands; equal arguments give equal logs."""
     # the anemometer's columns; where there are none, those of the true wind
     apparent = np.isfinite(log.z[:, MOTION_END:]).any()
     wind = range(MOTION_END, len(MEASUREMENTS)) if apparent else (WIND_SPEED, WIND_FROM)
     columns = [*range(WIND_SPEED), *range(MOTION_AT, MOTION_END), *wind]
-    z = apply_faults(log.t, log.z, faults, np.random.default_rng(0), columns)
-    return dataclasses.replace(log, z=z)
+    z, cmd = apply_faults(log.t, log.z, log.cmd, faults, np.random.default_rng(0), columns)
+    return dataclasses.replace(log, z=z, cmd=cmd)
 
 
 def recorded_identify_s(log: Log) -> float:

@@ -55,7 +55,7 @@ from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.channels import GPS_BIT
+from usv_gym.world.channels import FIXES_BIT, GPS_BIT
 from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
@@ -461,7 +461,9 @@ def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
     return [
         (fault.start, fault.start + fault.duration)
         for fault in faults
-        if isinstance(fault, Fault) and fault.effect == "loss" and FAULT_KINDS[fault.kind] & GPS_BIT
+        if isinstance(fault, Fault)
+        and fault.effect == "loss"
+        and FAULT_KINDS[fault.kind] & (GPS_BIT | FIXES_BIT)
     ]
 
 

@@ -346,7 +346,7 @@ class SeparateTwins(TwinObserver):
     def _note_forecast(self, i: int, t: float) -> None:
         """Note what the twin of boat i forecasts at time t."""
         note, twin = self.notes[i], self.twins[i]
-        self._plan[:] = self.episodes.simulation.cmd[i]
+        self._plan[:] = self.episodes.simulation.reported[i]
         if t >= note["covs_due"]:
             note["covs_due"] = t + self.band_period - 1e-9
             prediction = twin.predictor.predict(self._plan, LONG_STEP)
@@ -374,7 +374,7 @@ class SeparateTwins(TwinObserver):
             t = note["last"].item()
             if dt >= 0.0:
                 # arrays that a twin keeps must not change with the next row
-                twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
+                twin.feed(t, note["z"].copy(), sim.reported[i].copy())
                 if twin.motion.active:
                     note_attitude_flat(boat, self._notes[i], twin.motion.memory)
                 if self._grading:
@@ -409,7 +409,7 @@ class CompiledTwins(TwinObserver):
     ) -> None:  # fmt: skip
         super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
         predictor = self._predictor = _compiled(twin)
-        self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
+        self._single, self._cmd = episodes.n == 1, episodes.simulation.reported[0]
         if self._single:
             twin.monitor.remember(self._notes[0, _HEALTH])
             if self.motions.shape[1]:
@@ -478,7 +478,7 @@ class CompiledTwins(TwinObserver):
             twin.motion.memory[:] = self.motions[i]
         twin.t = predictor.t = self.notes["last"].item(i)
         twin.begun = self.notes["begun"].item(i)
-        twin.cmd = self.episodes.simulation.cmd[i].copy()
+        twin.cmd = self.episodes.simulation.reported[i].copy()
         return twin
 
     def _identified(self, rows: slice) -> tuple[Array, Array]:

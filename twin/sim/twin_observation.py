@@ -275,14 +275,14 @@ def _check_row(dt, boat, note, nav, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
     state = nav.n[:N_STATES]
-    check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
+    check_sensors(dt, note.z[:], boat.reported[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = health.motion_doubted
     if health.switched > 0.0:
         ask_to_begin_again(health.restart, nav)
     for k in range(N_ACT):
         note.trusted[k] = (
-            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
+            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.reported[k]
         )
 
 

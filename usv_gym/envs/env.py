@@ -79,7 +79,7 @@ class Recorder:
     def _add(self, boats: list[int]) -> None:
         sim = self.simulation
         for i in boats:
-            now = sim.t.item(i), sim.cmd[i].copy(), sim.z[i].copy(), sim.state[i].copy()
+            now = sim.t.item(i), sim.reported[i].copy(), sim.z[i].copy(), sim.state[i].copy()
             self.rows[i].append(Recorded(*now))
 
 

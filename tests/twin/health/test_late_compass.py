@@ -81,7 +81,7 @@ def test_latencies_in_a_vector_environment_are_those_of_single_ones() -> None:
         "sea": "2",
         "task": "free",
         "suite": suite,
-        "faults": "gyro_x-zero5@4+accel_y-reversed3@8+gyro_z2@2",
+        "faults": "gyro_x-zero5@4+accel_y-sign3@8+gyro_z2@2",
         "observation": "twin_attitude",
     }
     envs = gym.make_vec("USVTwin-v0", num_envs=2, **options)

@@ -8,12 +8,12 @@ import pytest
 from twin.health.monitor import SensorMonitor
 
 from twin import Twin
-from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.channels import MEASUREMENTS
 from twin.identification.data_weight import CHANGED, is_stable
 from twin.model.rollout import GRID
-from twin.sim.bridge import particulars_of, simulate
+from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
+from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import GPS_VY, GPS_X
 
 GPS = [k for k, name in enumerate(MEASUREMENTS) if name.startswith("gps")]
@@ -196,10 +196,12 @@ def test_doubtful_current_is_noted_and_saved(log, tmp_path):
 def test_boat_that_has_changed_is_predicted_soon():
     """A current of 1 m/s sets in: the refits look back to the change."""
     boat = Vessel.load("usv75")
-    log = simulate_with(
-        SENSOR_FAULTS["current-step"], 90.0, "turn", boat, SeaState(hs=0.5, wind=4.5),
-        duration=130.0, seed=1,
-    )  # fmt: skip
+    simulation = Simulation(1, boat, SeaState(hs=0.5, wind=4.5), dt=CONTROL_STEP)
+
+    def set_in(t: float, simulation: Simulation) -> None:
+        simulation.weather["current_east"] = float(t >= 90.0)
+
+    log = sail(prepare(simulation, "turn", 130.0, 1), set_in)
     twin = Twin(particulars_of(boat), "dsw-ukf-plus")
     twin.run(log.slice(0.0, 80.0))
     assert twin.predictor.selector.state.count[CHANGED] < 0.0

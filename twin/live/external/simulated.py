@@ -143,7 +143,7 @@ class AutopilotRun:
     def _take_row(self, t: float) -> None:
         """Hand a row to log, twin and navigation."""
         sim, state = self.backend.simulation, self.backend.simulation.state[0]
-        z, cmd = measurement_row(self._z), sim.cmd[0].copy()
+        z, cmd = measurement_row(self._z), sim.reported[0].copy()
         truth, motion = state[list(TRUE_STATE)], state[list(VERTICAL)]
         self._rows.append((t, z, cmd, truth, motion))
         if self.port is not None:

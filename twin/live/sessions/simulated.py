@@ -201,8 +201,8 @@ class SimulatedSession(Session):
     def _feed(self) -> None:
         sim = self.simulation
         z, truth = measurement_row(sim.z[0]), sim.state[0, TRUE_STATE]
-        self.monitor.step(self.t, z, sim.cmd[0], truth)
-        self._keep(self.t, z, sim.cmd[0], truth)
+        self.monitor.step(self.t, z, sim.reported[0], truth)
+        self._keep(self.t, z, sim.reported[0], truth)
 
     def _plan(self) -> str | Array:
         return self.helm.plan(self.t)
