@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import gymnasium as gym
-from twin.health.state import SENSORS, STATUSES
+from twin.integrity.state import SENSORS, STATUSES
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH

@@ -28,7 +28,7 @@ from twin.integrity.commands import (
     RIGHT_DEAD,
     SOUND,
     WARM_UP_STEPS,
-    is_suspected,
+    most_evidence,
     watch_commands,
 )
 from twin.integrity.decision import decide
@@ -64,7 +64,7 @@ def _set(memory, sensor, status, reason):
     one = memory.sensors[sensor]
     if one.status != status or one.reason != reason:
         if one.status != status:
-            one.since = memory.clock
+            one.since = memory.clock - (one.silent if status == ABSENT else 0.0)
         one.status, one.reason = status, reason
 
 
@@ -149,7 +149,7 @@ def _watch(dt, cmd, memory, given):
     v += rate * given.bank.origin_arm[0]
     u -= rate * given.bank.origin_arm[1]
     turns = min(bank.imu_age[0] if one.uses_gyro > 0.0 else NEVER_S, bank.age[2]) < KNOWN_S
-    known, doubted = bank.begun > 0.0 and turns, memory.decision.in_doubt > 0.0
+    known, doubted = bank.begun > 0.0 and turns, memory.contradicted > 0.0
     force, has_gps = int(bank.force_filter), False
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
@@ -216,6 +216,9 @@ def _write_restart(memory, has_gps, given):
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
+BLAMED = 4.0
+"""Above this evidence against the commands, accelerometers are not held against them."""
+
 KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
@@ -254,23 +257,27 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     has_gps = _watch(dt, cmd, memory, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        blamed = drives.hypothesis == SOUND and not has_gps and not is_suspected(drives)
+        blamed = drives.hypothesis == SOUND and not has_gps and most_evidence(drives) < BLAMED
         switched = decide(
             bank, memory.decision, memory.frozen[:], drives.yaw_witness,
             drives.force_ratio if blamed else 0.0, given.bank,
         )  # fmt: skip
         if switched:
             memory.switched = 1.0
+            # the motion begins again: a step of the commands that spans it would be wrong
+            drives.known = 0.0
             _write_restart(memory, has_gps, given)
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
         if LEFT_OUT[force, part] > 0.0:
             for j in range(PARTS[part, 0], PARTS[part, 1]):
                 out[j] = math.nan
+    memory.contradicted = 0.0
     if memory.decision.in_doubt > 0.0:
         # what fails is not used until it is known what is wrong
         for aid in range(AIDS):
             if aid_ratio(bank.filters[force], aid) >= 1.0:
+                memory.contradicted = 1.0
                 for j in range(PARTS[aid, 0], PARTS[aid, 1]):
                     out[j] = math.nan
     _set_statuses(dt, z, memory)

@@ -38,7 +38,7 @@ __all__ = [
     "HYPOTHESES",
     "drives_settings",
     "initial_drives",
-    "is_suspected",
+    "most_evidence",
     "watch_commands",
 ]
 
@@ -146,6 +146,9 @@ FORCE_S = 4.0
 
 FORCE_TIME_S = 60.0
 """Time constant with which offsets and variances of what they differ by are learned."""
+
+LEVEL_MIN = 1.0
+"""Least level of the mean of the forces: waves average out sooner than independent errors."""
 
 WITNESS_S = 10.0
 """Time constant of the witness of gyro and compass."""
@@ -334,12 +337,12 @@ def _learn(drives, axis, h, change):
 
 
 @inlined
-def is_suspected(drives):
-    """Return whether another hypothesis than the one in force gathers evidence."""
+def most_evidence(drives):
+    """Return the evidence for the likeliest hypothesis but the one in force."""
     most = 0.0
     for h in range(HYPOTHESES):
         most = max(most, drives.evidence[h])
-    return most > SUSPECT
+    return most
 
 
 @inlined
@@ -404,7 +407,7 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
         elif force != SOUND and now - drives.since > AGAIN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
-    suspected = is_suspected(drives)
+    suspected = most_evidence(drives) > SUSPECT
     force = int(drives.hypothesis)
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
@@ -453,7 +456,7 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
         if has_gps:
             drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
         else:
-            square /= max(drives.level[axis], 1.0) * THRESHOLD
+            square /= max(drives.level[axis], LEVEL_MIN) * THRESHOLD
             drives.force_ratio = max(drives.force_ratio, square)
 
 
@@ -514,7 +517,10 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
-        if measured and not doubted:
+        if doubted:
+            drives.seen = drives.force_ratio = drives.weight = 0.0
+            drives.mean[0] = drives.mean[1] = 0.0
+        elif measured:
             ahead = (changes[0], forces[0], forces[1])
             _watch_forces(drives, own, ahead, sway, turned, span, h, has_gps)
     else:

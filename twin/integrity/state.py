@@ -100,6 +100,7 @@ INTEGRITY = np.dtype(
         ("renewal", "f8", PARTS),  # typical time between new samples, s
         ("frozen", "f8", PARTS),  # 1 where it repeats itself while the boat moves
         ("masked", "f8", PARTS),  # time for which it is left out after impossible numbers, s
+        ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
         ("leaps", "f8"),  # rows in a row with leaps of the acceleration
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad

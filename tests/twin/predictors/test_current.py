@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from twin.health.monitor import SensorMonitor
+from twin.integrity.monitor import SensorMonitor
 
 from twin import Twin
 from twin.channels import MEASUREMENTS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
-from twin.health.state import EXCLUDED, OK, SENSORS, STATUSES
+from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin

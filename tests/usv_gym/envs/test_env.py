@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from twin.health.state import SENSORS
+from twin.integrity.state import SENSORS
 
 import usv_gym
 from tests.usv_gym.envs.acting import actions_of, episode

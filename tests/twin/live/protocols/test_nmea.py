@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 
 from tests.twin.live.wire import Wire, estimate_of, with_motion
 from twin.channels import (

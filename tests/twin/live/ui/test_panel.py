@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from twin.health.monitor import SensorStatus
+from twin.integrity.monitor import SensorStatus
 
 from twin import Log, Twin
 from twin.live.sessions.log import LogSession

@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 import pytest
-from twin.health.wind import SILENT_TIME, STUCK_TIME
 
 from twin import Twin
 from twin.channels import APPARENT_FROM, APPARENT_SPEED, WIND_SPEED
+from twin.integrity.wind import SILENT_TIME, STUCK_TIME
 from twin.logs.log import Log
 from twin.predictors.ukf import ModelPredictor
 from twin.sim.bridge import particulars_of, simulate
@@ -143,13 +143,3 @@ def test_a_saved_twin_keeps_the_wind(tmp_path) -> None:
         twin.step(*row)
         again.step(*row)
     np.testing.assert_array_equal(twin.predictor.ukf.wind, again.predictor.ukf.wind)
-
-
-def test_a_state_without_wind_is_loaded() -> None:
-    """Releases before had no anemometer."""
-    twin = Twin(particulars_of(BOAT, BEST), "ukf")
-    state = twin.monitor.state_dict()
-    old = {name: value for name, value in state.items() if not name.startswith("wind.")}
-    assert len(old) < len(state)
-    twin.monitor.load_state_dict(old)
-    assert twin.monitor.record["wind"]["known"] == 0.0

@@ -6,16 +6,15 @@ import re
 
 import numpy as np
 import pytest
-from twin.health.history import KEPT, HealthHistory
-from twin.health.monitor import SensorMonitor
-from twin.health.state import ABSENT, EXCLUDED, OK, SENSORS
 
 from twin import Log, Twin
+from twin.integrity.history import KEPT, HealthHistory
+from twin.integrity.monitor import SensorMonitor
+from twin.integrity.state import ABSENT, CONTRADICTS, EXCLUDED, OK, SENSORS
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, Vessel
 
 PARTICULARS = particulars_of(Vessel.load("usv75"))
-AT_ODDS = 4.0
 
 
 def history_of(changes) -> HealthHistory:
@@ -34,13 +33,13 @@ def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
     history = history_of(
         {
             0: [("compass", OK, 0.0), ("gps", OK, 0.0)],
-            3: [("compass", EXCLUDED, AT_ODDS), ("gyro", OK, 0.0)],
+            3: [("compass", EXCLUDED, CONTRADICTS), ("gyro", OK, 0.0)],
             5: [("gps", ABSENT, 0.0)],
             7: [("compass", OK, 0.0)],
         }
     )
     assert history.lines() == (
-        "compass excluded from 103.0 to 107.0 s: contradicted the other sensors",
+        "compass excluded from 103.0 to 107.0 s: contradicts the other sensors",
         "gps absent from 105.0 s on",
     )
 
@@ -56,7 +55,7 @@ def test_channel_that_goes_from_one_trouble_to_another_leaves_two_lines():
 
 
 def test_status_at_a_time_is_that_of_the_row_before_it():
-    history = history_of({2: [("gyro", OK, 0.0)], 4: [("gyro", EXCLUDED, AT_ODDS)]})
+    history = history_of({2: [("gyro", OK, 0.0)], 4: [("gyro", EXCLUDED, CONTRADICTS)]})
     assert history.at(99.9) == {}
     assert [history.at(t)["gyro"].status for t in (100.0, 102.0, 103.99, 104.0, 200.0)] == [
         *("absent", "ok", "ok", "excluded", "excluded")
