@@ -41,18 +41,16 @@ class NmeaWriter:
     """
 
     def __init__(self, talker: str, *, tag: bool = False) -> None:
-        self._pynmea2 = needed("pynmea2")
+        self._checksum = needed("pynmeagps").calc_checksum
         self.talker, self.tag = talker, tag
 
     def line(self, kind: str, *fields: str) -> str:
         """Return a sentence with its checksum."""
-        made = self._pynmea2.TalkerSentence(self.talker, kind, fields)
-        return str(made.render(newline="\r\n"))
+        return self._whole(self.talker + kind, *fields)
 
-    def proprietary(self, maker: str, *fields: str) -> str:
-        """Return a sentence of a maker's own, with its checksum."""
-        made = self._pynmea2.ProprietarySentence(maker, fields)
-        return str(made.render(newline="\r\n"))
+    def _whole(self, *fields: str) -> str:
+        content = ",".join(fields)
+        return f"${content}*{self._checksum(content)}\r\n"
 
     def gga(
         self,
@@ -142,7 +140,7 @@ class NmeaWriter:
         """
         degrees = [math.degrees(value) for value in (heading % (2.0 * math.pi), *tilt)]
         fields = (
-            *("SHR", _clock(stamp)),
+            *("PASHR", _clock(stamp)),
             *(("", "") if math.isnan(heading) else (f"{degrees[0]:.2f}", "T")),
             *("" if math.isnan(value) else f"{value:+.4f}" for value in degrees[1:]),
             "" if math.isnan(heave) else f"{-heave:+.2f}",
@@ -150,21 +148,21 @@ class NmeaWriter:
             *[""] * (2 - len(sd)),
             *("", "1"),
         )
-        return self.proprietary("A", *fields)
+        return self._whole(*fields)
 
     def motion(self, stamp: float, after: float, mean: Array, sd: Array) -> str:
         """Return a forecast (4,) of roll, pitch, heave and deck speed, with deviations (4,)."""
         values = [*np.degrees(mean[:2]), *mean[2:], *np.degrees(sd[:2]), *sd[2:]]
         texts = [f"{min(max(value, -999.0), 999.0):.2f}" for value in values]
-        fields = ("M", _clock(stamp), f"{after:.1f}", *texts)
-        return self.proprietary("UTW", *fields)
+        fields = ("PUTWM", _clock(stamp), f"{after:.1f}", *texts)
+        return self._whole(*fields)
 
     def quiet(self, stamp: float, probabilities: Array) -> str:
         """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
         values = probabilities.tolist()
         texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
-        fields = ("Q", _clock(stamp), *texts)
-        return self.proprietary("UTW", *fields)
+        fields = ("PUTWQ", _clock(stamp), *texts)
+        return self._whole(*fields)
 
     def predicted(
         self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
@@ -186,19 +184,19 @@ class NmeaWriter:
         both = float(sd[0] * sd[1])
         correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
         fields = (
-            *("P", _clock(stamp), f"{after:.1f}"),
+            *("PUTWP", _clock(stamp), f"{after:.1f}"),
             *_text(place[0], "NS", 2, 5),
             *_text(place[1], "EW", 3, 5),
             f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
             *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
             f"{correlation:.2f}",
         )
-        return self.proprietary("UTW", *fields)
+        return self._whole(*fields)
 
     def health(self, stamp: float, sensor: str, status: str) -> str:
         """Return the new status of a sensor; see the head of this module."""
-        fields = ("H", _clock(stamp), sensor, status)
-        return self.proprietary("UTW", *fields)
+        fields = ("PUTWH", _clock(stamp), sensor, status)
+        return self._whole(*fields)
 
     def row(
         self, when: float, z: Array, cmd: Array, place: tuple[float, float] | None
@@ -247,8 +245,7 @@ class NmeaWriter:
         lines.append(self.line("RSA", starboard, "A", port, "A"))
         if self.tag:
             block = f"c:{round(1000.0 * when)}"
-            check = self._pynmea2.NMEASentence.checksum(block)
-            lines = [f"\\{block}*{check:02X}\\{line}" for line in lines]
+            lines = [f"\\{block}*{self._checksum(block)}\\{line}" for line in lines]
         return lines
 
 

@@ -18,7 +18,7 @@ from twin.live.protocols.sockets import FeedError, open_socket, parse_address
 from twin.logs.datum import Plane
 from twin.particulars import Particulars
 
-pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
 
 

@@ -32,7 +32,7 @@ from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
-pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
 
 MIDNIGHT = 1.7e9 - 1.7e9 % 86400
@@ -255,8 +255,8 @@ def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Par
         raise ModuleNotFoundError(module)
 
     monkeypatch.setattr("twin.live.protocols.sockets.importlib.import_module", without)
-    for module in ("pynmea2", "pymavlink.dialects.v20.common"):
+    for module in ("pynmeagps", "pymavlink.dialects.v20.common"):
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)
-    with pytest.raises(ImportError, match="pynmea2"):
+    with pytest.raises(ImportError, match="pynmeagps"):
         NmeaFeed(f"udp://:{free_port()}", usv)
