@@ -53,9 +53,9 @@ class Wire:
         self.rows += new
         return new
 
-    def replay(self, log: Log, stream: Stream, speed: float, **options: Any) -> Counter[str]:
+    def replay(self, log: Log, stream: Stream, speed: float) -> Counter[str]:
         counts: Counter[str] = Counter()
-        self.carry(schedule(log, stream, counts=counts, **options), speed)
+        self.carry(schedule(log, stream, counts=counts), speed)
         self.take(after=1.0)
         return counts
 
@@ -69,6 +69,36 @@ class Wire:
         ways = ("used", "late", "doubled", "broken", "void", "unknown", "own")
         assert counts["received"] == sum(counts[way] for way in ways)
         return {name: count for name, count in counts.items() if count}
+
+
+def disturbed(
+    datagrams: Iterable[Datagram], rng: np.random.Generator, counts: Counter[str]
+) -> list[Datagram]:
+    """Return datagrams of which a twentieth each is late, doubled, broken or overtaken."""
+    found = list(datagrams)
+    end, made, k = found[-1].due - 2.0, [], 0
+    while k < len(found):
+        one = found[k]
+        way = ("late", "doubled", "broken", "swapped", "")[min(int(20.0 * rng.random()), 4)]
+        heartbeat = one.data[:1] == b"\xfd" and one.data[7] == 0
+        if heartbeat or one.due > end:
+            way = ""
+        counts[way] += one.messages if way != "broken" else 1
+        if way == "swapped":  # the next one of a later time overtakes it
+            later = next(j for j in range(k + 1, len(found)) if found[j].due > one.due)
+            made += found[k + 1 : later + 1]
+            one, k = replace(one, due=found[later].due), later
+        elif way == "late":
+            one = replace(one, due=one.due + 1.0)
+        elif way == "doubled":
+            made.append(one)
+        elif way == "broken":
+            wrong = bytearray(one.data)
+            wrong[int(rng.integers(10, 14))] ^= 1  # of the first message
+            one = replace(one, data=bytes(wrong))
+        made.append(one)
+        k += 1
+    return sorted(made, key=lambda each: each.due)
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:

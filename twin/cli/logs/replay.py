@@ -25,13 +25,10 @@ from twin.live.protocols.mavlink import Servos
 from twin.live.protocols.nmea_writer import NOT_IN_NMEA
 from twin.live.protocols.replay import (
     ORIGIN,
-    LinkImpairment,
     MavlinkStream,
     NmeaStream,
-    Pace,
     Stream,
     replay,
-    schedule,
 )
 from twin.live.protocols.sockets import FeedError
 from twin.logs.log import Log
@@ -57,13 +54,6 @@ def replay_command(
         ),
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Start over at the end, for ever.")] = False,
-    disturb: Annotated[
-        str,
-        typer.Option(
-            help="Shares of messages that are late, doubled, broken, swapped: late=.05,broken=.01."
-        ),
-    ] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the disturbances.")] = 0,
     tag: Annotated[
         bool, typer.Option("--tag", help="A TAG block with the time before each NMEA sentence.")
     ] = False,
@@ -125,16 +115,7 @@ def replay_command(
             bar.update(task, completed=t - float(run.t[0]))
 
         try:
-            datagrams = schedule(
-                run,
-                stream,
-                disturb=LinkImpairment.parse(disturb),
-                seed=seed,
-                loop=loop,
-                counts=counts,
-            )
-            pace = Pace(speed)
-            replay(run, datagrams, stream, target, pace=pace, progress=progress, counts=counts)
+            replay(run, stream, target, speed=speed, loop=loop, progress=progress, counts=counts)
         except KeyboardInterrupt:
             interrupted = True
     late = time.monotonic() - begun - length / speed

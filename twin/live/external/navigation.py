@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, U, V, X, Y
 from twin.live.external.peer import ACCEPTED, HOLD, AutopilotPeer
-from twin.live.protocols.jumps import JumpCounter
-from twin.live.protocols.mavlink import ONBOARD, ORIGIN_MESSAGE, REQUEST_MESSAGE, MavlinkWriter
+from twin.live.protocols.mavlink import (
+    ONBOARD,
+    ORIGIN_MESSAGE,
+    REQUEST_MESSAGE,
+    JumpCounter,
+    MavlinkWriter,
+)
 from twin.logs.datum import Plane
 from twin.predictors.base import Estimate
 from usv_kernel.channels import GPS_X, GPS_Y

@@ -31,10 +31,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS, PSI, R, U, V
+from twin.channels import MEASUREMENTS, PSI, R, U, V, X, Y
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
 from twin.live.protocols.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
@@ -43,6 +42,7 @@ from twin.tilt import body_velocity, body_yaw_rate
 from usv_kernel.servos import Servos
 
 __all__ = [
+    "JumpCounter",
     "MavlinkFeed",
     "MavlinkWriter",
     "Servos",
@@ -76,6 +76,34 @@ ALL_PARTS = 2 ** len(_IMU_PARTS) - 1
 
 AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
+
+
+JUMP = 0.5
+"""An estimate that moves by more than its velocity explains and this, m, has jumped."""
+
+
+class JumpCounter:
+    """Counts the jumps of an estimate, as the field ``reset_counter`` of ODOMETRY does.
+
+    An EKF refuses a place far from its own, unless the counter says that the estimate was reset.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last: tuple[float, float, float, float, float] | None = None
+
+    def take(self, t: float, state: Array) -> int:
+        """Take a time (s) and state (6,), in order; return the count, from 0 to 255."""
+        c, s = math.cos(state[PSI]), math.sin(state[PSI])
+        north, east = state[U] * c - state[V] * s, state[U] * s + state[V] * c
+        if self._last is not None:
+            before, x, y, vx, vy = self._last
+            dt = t - before
+            ahead = x + 0.5 * dt * (vx + north), y + 0.5 * dt * (vy + east)
+            if math.dist(ahead, (state[X], state[Y])) > JUMP:
+                self.count = (self.count + 1) % 256
+        self._last = t, float(state[X]), float(state[Y]), float(north), float(east)
+        return self.count
 
 
 class MavlinkFeed(Feed):

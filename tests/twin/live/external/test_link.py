@@ -18,7 +18,7 @@ from twin.live.external.navigation import ExternalNavigation, ExternalOptions
 from twin.live.external.peer import AutopilotPeer
 from twin.live.external.port import MavlinkPort
 from twin.live.external.receiver import ReceiverFeed
-from twin.live.protocols.jumps import JumpCounter
+from twin.live.protocols.mavlink import JumpCounter
 from twin.live.protocols.sockets import FeedError
 from twin.logs.datum import Plane
 from twin.sim.bridge import particulars_of

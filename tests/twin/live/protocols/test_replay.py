@@ -11,22 +11,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.twin.live.wire import RUN, Wire, free_port
+from tests.twin.live.wire import RUN, Wire, disturbed, free_port
 from twin import Twin
 from twin.cli.main import app
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.replay import (
-    LinkImpairment,
     MavlinkStream,
     NmeaStream,
-    Pace,
     Stream,
     replay,
     schedule,
 )
-from twin.live.protocols.sockets import FeedError, needed
+from twin.live.protocols.sockets import needed
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
@@ -101,10 +99,12 @@ def test_disturbances_are_counted_and_survived(
     circle: Log, usv: Particulars, kind: str, speed: float
 ) -> None:
     wire = Wire(KINDS[kind][0], usv)
-    disturb = LinkImpairment(late=0.05, doubled=0.05, broken=0.05, swapped=0.05)
-    sent = wire.replay(circle, KINDS[kind][1](usv), speed, disturb=disturb, seed=4)
+    sent: Counter[str] = Counter()
+    datagrams = disturbed(schedule(circle, KINDS[kind][1](usv)), np.random.default_rng(4), sent)
+    wire.carry(datagrams, speed)
+    wire.take(after=1.0)
     counts = wire.balance()
-    assert counts["received"] == sent["messages"]
+    assert counts["received"] == sum(datagram.messages for datagram in datagrams)
     for counted, made in (("late", "late"), ("doubled", "doubled"), ("broken", "broken")):
         assert counts[counted] == sent[made] > 10
     assert counts["out of order"] == sent["swapped"] > 10
@@ -119,29 +119,6 @@ def test_disturbances_are_counted_and_survived(
     assert np.hypot(*(a - origin - b)) < 1.0
 
 
-def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
-    log, found = circle.slice(0.0, 30.0), []
-    for seed in (1, 1, 2):
-        wire = Wire(NmeaFeed, usv)
-        stream = NmeaStream(start=MIDNIGHT)
-        found.append(wire.replay(log, stream, 1.0, disturb=LinkImpairment(late=0.1), seed=seed))
-    assert found[0] == found[1] != found[2]
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("late", "write a share"),
-        ("late=x", "share"),
-        ("lost=.1", "once"),
-        ("late=.6,broken=.6", "sum"),
-    ],
-)
-def test_wrong_disturbances_are_reported(text: str, why: str) -> None:
-    with pytest.raises(FeedError, match=why):
-        LinkImpairment.parse(text)
-
-
 def test_the_pace_is_that_of_the_log(circle: Log) -> None:
     now = [0.0]
     log = circle.slice(0.0, 20.0)
@@ -149,14 +126,10 @@ def test_the_pace_is_that_of_the_log(circle: Log) -> None:
     def sleep(seconds: float) -> None:
         now[0] += seconds
 
-    counted: Counter[str] = Counter()
-    stream, pace = NmeaStream(), Pace(4.0, lambda: now[0], sleep)
-    datagrams = schedule(log, stream, counts=counted)
-    replay(log, datagrams, stream, f"udp://:{free_port()}", pace=pace, counts=counted)
+    address = f"udp://:{free_port()}"
+    counted = replay(log, NmeaStream(), address, speed=4.0, clock=lambda: now[0], sleep=sleep)
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
     assert counted["rows"] == counted["datagrams"] == len(log)
-    with pytest.raises(FeedError, match="speed"):
-        Pace(speed=0.0)
 
 
 @pytest.mark.parametrize("kind", ["nmea", "mavlink"])
@@ -171,8 +144,7 @@ def test_over_the_wire_and_back_is_the_same_log(
         counted: Counter[str] = Counter()
 
         def send() -> None:
-            datagrams = schedule(log, stream, counts=counted)
-            replay(log, datagrams, stream, address, pace=Pace(10.0), counts=counted)
+            replay(log, stream, address, speed=10.0, counts=counted)
 
         sender = threading.Thread(target=send)
         sender.start()
@@ -232,7 +204,6 @@ def test_the_help_of_replay_lists_the_sentences_and_messages_that_carry_attitude
         (["--nmea", "udp://:1", "--origin", "x"], "LAT,LON"),
         (["--nmea", "udp://:1", "--origin", "91,0"], "latitude"),
         (["--nmea", "udp://:1", "--speed", "0"], "speed"),
-        (["--nmea", "udp://:1", "--disturb", "late=2"], "shares"),
     ],
 )
 def test_wrong_commands_are_reported(options: list[str], why: str) -> None:
