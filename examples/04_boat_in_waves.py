@@ -15,6 +15,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames
+from usv_gym.vessel.geometry import boat_of
 from usv_gym.world.realisation import Sea
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
@@ -37,33 +38,6 @@ def sail(vessel: Vessel, state: SeaState) -> tuple[Simulation, np.ndarray, np.nd
     return simulation, np.array(states), np.array(seen)
 
 
-def hull(vessel: Vessel) -> list[np.ndarray]:
-    """Return the faces of a simple hull, corners as m forward, to starboard and down."""
-    v = vessel.values
-    L, B, d = v["length_overall"], v["beam"], v["draft"]
-    x = L * np.array([-0.5, -0.25, 0.0, 0.2, 0.35, 0.45, 0.5])
-    half = 0.5 * B * np.array([0.92, 0.98, 1.0, 0.92, 0.62, 0.28, 0.0])
-    deck = -d * (1.0 + 0.5 * np.linspace(0.0, 1.0, len(x)) ** 2) * 1.3
-    keel = np.array([x, 0.0 * x, d * np.array([0.9, 1.0, 1.0, 1.0, 0.7, 0.1, -0.9])])
-    chine = np.array([x, 0.85 * half, 0.1 * d + 0.0 * x])
-    rail = np.array([x, half, deck])
-    faces = []
-    for side in (1.0, -1.0):
-        mirror = np.array([[1.0], [side], [1.0]])
-        for low, high in ((keel, chine * mirror), (chine * mirror, rail * mirror)):
-            for i in range(len(x) - 1):
-                corners = [low[:, i], low[:, i + 1], high[:, i + 1], high[:, i]]
-                faces.append(np.array(corners))
-    faces.append(np.concatenate([rail.T, (rail * [[1.0], [-1.0], [1.0]]).T[::-1]]))
-    cabin = L * np.array([[-0.15, 0.12], [-0.16 * B / L, 0.16 * B / L]])
-    low, high = deck[2], deck[2] - 0.14 * L
-    box = [[(cabin[0, i], cabin[1, j], z) for z in (low, high)] for i, j in np.ndindex(2, 2)]
-    for a, b in ((0, 1), (1, 3), (3, 2), (2, 0)):
-        faces.append(np.array([box[a][0], box[b][0], box[b][1], box[a][1]]))
-    faces.append(np.array([box[a][1] for a in (0, 1, 3, 2)]))
-    return faces
-
-
 def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
     """Draw the surface and the boat on it; north to the right, east towards the reader, up."""
     x, y, z = state[:3]
@@ -74,15 +48,14 @@ def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
     shade = light.shade(height, plt.get_cmap("ocean"), vmin=-4.0, vmax=3.0, vert_exag=4.0)
     ax.plot_surface(north, -east, height, facecolors=shade, rcount=121, ccount=121, shade=False)
     attitude = state[[frames.PHI, frames.THETA, frames.PSI]]
-    faces = [
-        np.array([frames.rotate(*attitude, *corner) for corner in face]) * [1, -1, -1] + [0, 0, -z]
-        for face in hull(vessel)
-    ]
-    colours = ["#d55e00"] * (len(faces) - 6) + ["#f2e6d8"] + ["#777777"] * 4 + ["#999999"]
-    # matplotlib cannot intersect surfaces: the hull is drawn on top of the sea
-    ax.add_collection3d(
-        Poly3DCollection(faces, facecolors=colours, edgecolor="#552200", lw=0.2, zorder=10)
-    )
+    boat = boat_of(vessel)
+    for part in boat.parts:
+        corners = part.mesh.moved(boat.position_of(part)).vertices
+        turned = np.array([frames.rotate(*attitude, *corner) for corner in corners])
+        faces = (turned * [1, -1, -1] + [0, 0, -z])[part.mesh.faces]
+        colour = np.array(part.colour) / 255.0
+        # matplotlib cannot intersect surfaces: the boat is drawn on top of the sea
+        ax.add_collection3d(Poly3DCollection(faces, facecolors=colour, shade=True, zorder=10))
     ax.computed_zorder = False
     ax.set(xlim=(-side, side), ylim=(-side, side), zlim=(-1.5, 2.0))
     ax.set_box_aspect((2 * side, 2 * side, 3.5), zoom=1.02)

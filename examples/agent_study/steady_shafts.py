@@ -8,10 +8,10 @@ python examples/agent_study/steady_shafts.py [boats]
 import sys
 
 import numpy as np
+from bootstrap import interval, iqm
 
 from twin.agents.controllers import make_controller
 from twin.agents.evaluation import evaluate
-from twin.agents.study.statistics import interval, iqm
 
 CASES = (
     *(("ukf", effort, progress) for effort, progress in ((0.3, 1), (1, 1), (3, 1), (3, 0.5))),

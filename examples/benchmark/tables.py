@@ -1,24 +1,17 @@
-"""Print tables 4 and 5 of docs/explanation/study.md: full protocol and recorded runs.
+"""Tables 4 and 5 of docs/explanation/study.md, and what is kept of the results that they need.
 
-The numbers lie beside this file. Those of the full protocol were made by::
-
-    usv-twin benchmark --full --jobs 2 --out full \
-        --predictors persistence,persistence-8s,var,ukf,dsw-ukf-plus,oracle
-
-and those of the recorded runs, which are not part of the project, by::
-
-    usv-twin benchmark --plans known --out recorded \
-        --predictors persistence,persistence-8s,var,ukf,dsw-ukf,dsw-ukf-plus \
-        --log ../shared/data/esso_osaka_frt/*.csv.gz ../shared/data/kvlcc2_simman2008/*.csv.gz
-
-Only what the tables need is kept of either ``results.json``.
+``python tables.py`` prints the tables; ``python tables.py NAME FILE`` keeps the part of a whole
+``results.json`` that docs and tests quote, as NAME.json beside this file (README.md has the names).
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
+
+from twin.files import results_text
 
 HERE = Path(__file__).parent
 SCENARIOS = ("turn", "zigzag", "turn-zigzag", "random")
@@ -29,6 +22,30 @@ PLUS = "dsw-ukf-plus"
 def read(name: str) -> dict[str, Any]:
     """Return the content of a file beside this one."""
     return dict(json.loads((HERE / name).read_text(encoding="utf-8")))
+
+
+def kept(name: str, results: dict[str, Any]) -> dict[str, Any]:
+    """Return what docs and tests quote of whole results; the values stay as they are."""
+    heads = {key: results[key] for key in ("version", "command", "settings", "predictors")}
+    if name == "recorded":
+        return {**heads, "recorded": results["recorded"]}
+    metrics = ("mae",) if name == "results" else ("mae", "E", "coverage90")
+    predictors = list(results["predictors"]) if name == "results" else ["ukf", PLUS]
+    rows = {
+        key: [row for row in results[key] if row["predictor"] in predictors]
+        for key in ("summary", "paired")
+    }
+    summary = [row for row in rows["summary"] if row["metric"] in metrics]
+    if name == "full":
+        return {**heads, "summary": summary, "paired": rows["paired"]}
+    # tests compute the runs of the first boat again
+    runs = [
+        {key: value for key, value in row.items() if key != "curves"}
+        for row in results["runs"]
+        if row["seed"] == 0
+    ]
+    more = {key: results[key] for key in ("program", "notes", "verdict")}
+    return {**heads, **more, "summary": summary, "runs": runs}
 
 
 def full() -> list[str]:
@@ -74,4 +91,9 @@ def recorded() -> list[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join([*full(), "", *recorded()]))
+    if len(sys.argv) == 3:
+        name, file = sys.argv[1:]
+        whole = json.loads(Path(file).read_text(encoding="utf-8"))
+        (HERE / f"{name}.json").write_text(results_text(kept(name, whole)), encoding="utf-8")
+    else:
+        print("\n".join([*full(), "", *recorded()]))

@@ -1,8 +1,5 @@
 """What an anemometer and the paper's window are worth, in steady seas and in seas that change.
 
-python examples/changing_seas/measure.py            # 8 boats: about ten minutes on two cores
-python examples/changing_seas/measure.py --boats 2  # a first look
-
 Prints the tables of docs/explanation/study.md: ratios of mean errors, with over without. Each is
 sailed in a turn and a zigzag by every boat; brackets are 95 % bootstrap intervals over boats.
 """
@@ -115,9 +112,7 @@ def table(rows: list[dict[str, object]]) -> None:
 
 def main() -> None:
     """Sail what is not sailed yet, and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--boats", type=int, default=8)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("results.jsonl"))

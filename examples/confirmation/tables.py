@@ -1,14 +1,4 @@
-"""Print tables 1 to 3 of docs/explanation/study.md from the results beside this file.
-
-They were made by::
-
-    usv-twin benchmark --scenarios turn,zigzag,turn-zigzag,random --faults none \
-        --seeds 200-295 --plans known --out confirmation
-
-Only what the tables need is kept of its ``results.json``. ``class_unknown.json`` has the numbers of
-``dsw-ukf-plus`` with main particulars alone: the same command, with ``--vessel`` naming a copy of
-the file of ``usv75``, which is of no class.
-"""
+"""Print tables 1 to 3 of docs/explanation/study.md from the results beside this file."""
 
 from __future__ import annotations
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import itertools
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,30 +17,31 @@ from gymnasium.vector import AutoresetMode
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
-from twin.agents.policy import AgentError
+from twin.agents.controllers import CONTROLLERS, DOCKING
+from twin.agents.policy import AgentError, Policy
 from twin.sim.wrapper import log_of
 from usv_gym.envs.scoring import STATION
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.channels import GPS_BIT
+from usv_kernel.files import import_named
 
 __all__ = [
     "EVALUATION_SEEDS",
     "FIRST_TRAINING_SEED",
-    "GRID",
     "OUTAGES",
     "SEAS",
+    "agents_named",
     "evaluate",
     "log_name",
     "make_envs",
+    "mean_scores",
     "on_grid",
+    "trained_with",
 ]
 
 SEAS = ("0", "2", "4")
 
 OUTAGES = ("none", "gps10", "gps30", "gps60")
-
-GRID = tuple(itertools.product(SEAS, OUTAGES))
-"""Sea states and losses of GPS of the study."""
 
 EVALUATION_SEEDS = tuple(range(900_000, 900_020))
 
@@ -206,6 +208,73 @@ def on_grid(
         )
         for sea, faults in itertools.product(seas, outages)
     ]
+
+
+def agents_named(model: str) -> list[tuple[str, Agent]]:
+    """Return the agents that a name stands for, each with its label.
+
+    It is the folder of a run or of several, a policy (.npz), a controller, or ``module:Class``.
+    """
+    path = Path(model)
+    if (path / "run.json").exists():
+        if not (path / "policy.npz").exists():
+            raise AgentError(f"{path}: has not ended: the command that began it goes on with it")
+        return [(model, Policy.load(path))]
+    if path.is_dir():
+        files = sorted(path.glob("*/policy.npz")) or sorted(path.glob("*.npz"))
+        if not files:
+            raise AgentError(f"{path}: holds no finished run; usv-twin train makes them")
+        names = [file.parent if file.name == "policy.npz" else file for file in files]
+        return [(str(name), Policy.load(file)) for name, file in zip(names, files, strict=True)]
+    if path.suffix == ".npz":
+        return [(model, Policy.load(path))]
+    if ":" in model:
+        return [(model, import_named(model, AgentError, model)())]
+    known = CONTROLLERS | DOCKING
+    if model not in known:
+        raise AgentError(
+            f"{model}: no such folder, policy or controller; "
+            f"controllers: {', '.join(known)}; agents of your own: module:Class"
+        )
+    return [(model, known[model]())]
+
+
+def trained_with(agents: Sequence[Agent], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the environment options of the agents' training, overridden by those given.
+
+    AgentError: the agents were trained with different ones.
+    """
+    options: dict[str, Any] = {"task": "path", "twin": "ukf", "vessel": "usv75"}
+    options |= {"frame_skip": FRAME_SKIP, "max_episode_steps": EPISODE}
+    settings = [agent.settings for agent in agents if isinstance(agent, Policy)]
+    for name in (*options, "vessel_spread"):
+        trained = sorted({one[name] for one in settings if name in one and name not in given})
+        if len(trained) > 1:
+            raise AgentError(
+                f"these were trained with {name} = {', '.join(map(str, trained))}: evaluate them "
+                "one by one, or give it"
+            )
+        options |= {name: trained[0]} if trained else {}
+    worlds = [{k: v for k, v in one.get("world", {}).items() if k not in given} for one in settings]
+    if any(world != worlds[0] for world in worlds):
+        raise AgentError(f"these were trained in other worlds, {worlds}: evaluate them one by one")
+    return {**options, **(worlds[0] if worlds else {}), **given}
+
+
+def mean_scores(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the scores over all forecasts of some episodes, by name.
+
+    Each episode has what :class:`twin.sim.forecast_scores.ForecastScores` names; it weighs as much
+    as it has forecasts.
+    """
+    counts = [count + place for place in ("", "_loss") for count in ("n", "n_intervals")]
+    found = {name: math.fsum(one.get(name, 0.0) for one in episodes) for name in counts}
+    for name in dict.fromkeys(name for one in episodes for name in one if name not in found):
+        weight = "n_intervals" if name.endswith("coverage90") else "n"
+        weight += "_loss" if "_loss_" in name else ""
+        parts = [one[name] * one[weight] for one in episodes if name in one]
+        found[name] = math.fsum(parts) / found[weight]
+    return found
 
 
 def _outages(envs: USVVectorEnv) -> tuple[np.ndarray, np.ndarray]:

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from twin.agents.controllers import BASES
 from twin.agents.policy import ACTIVATIONS, AgentError
+from usv_kernel.files import read_toml
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
-
-from usv_kernel.files import read_toml
 
 __all__ = [
     "ALGORITHMS",
@@ -45,24 +44,26 @@ ALGORITHMS = {
 CORRECTING = ("ppo-residual", "ppo-mpc")
 """Those that correct a classical controller."""
 
-
 TIMESTEPS = 131_072
 """Decisions of a training whose hyperparameters name none."""
 
+WORDS = {"observation", "ent_coef", "target_entropy", *SCHEDULES}
+"""Hyperparameters that may be a text."""
 
-_WORDS = {"ent_coef", "target_entropy", *SCHEDULES}
+NOT_GIVEN = {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
+"""Arguments of an algorithm that are no hyperparameters."""
 
-
-_OF_POLICIES = {
-    *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
-    *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
+TABLES = {
+    "policy_kwargs": {
+        *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
+        *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
+    },
+    "normalize": {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"},
+    "reward": {"scale", "least"},
+    "residual": {"base", "share"},
+    "reward_weights": set[str](),  # the terms are those of the task
 }
-
-
-_REWARD, _RESIDUAL = {"scale", "least"}, {"base", "share"}
-
-
-_NORMALIZE = {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"}
+"""Names in each table."""
 
 
 def check_algorithm(algo: str) -> None:
@@ -85,62 +86,41 @@ def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]
 
 def check_hyperparameters(algo: str, values: Mapping[str, Any], where: str) -> None:
     """Refuse values that the algorithm does not take; ``where`` names their source."""
-    known = {
-        *inspect.signature(algorithm_class(algo)).parameters,
-        *("observation", "n_envs", "n_timesteps", "normalize", "reward", "reward_weights"),
-        *(("residual",) if algo in CORRECTING else ()),
-    }
-    known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
+    own = {"observation", "n_envs", "n_timesteps", "normalize", "reward", "reward_weights"}
+    known = own | {*inspect.signature(algorithm_class(algo)).parameters} - NOT_GIVEN
     # checkpoints and policy files do not have these
     known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
-    tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE, "reward": _REWARD}
-    tables["residual"] = _RESIDUAL
-    for table, names in tables.items():
+    known |= {"residual"} if algo in CORRECTING else set()
+    for table, names in {"": known, **TABLES}.items():
         found = values.get(table, {}) if table else values
         if not isinstance(found, Mapping):
             raise AgentError(f"{where}: {table} = {found!r}: must be a table [{table}]")
         for name in found:
-            if name not in names:
+            if names and name not in names:
                 what = f"[{table}]" if table else algo
                 raise AgentError(
                     f"{where}: {what} has no {name!r}; it has {', '.join(sorted(names))}"
                 )
     for name, value in values.items():
-        if isinstance(value, str) and name not in _WORDS and name != "observation":
+        if isinstance(value, str) and name not in WORDS:
             raise AgentError(f"{where}: {name} = {value!r}: must be a number")
-    activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
-    if not (isinstance(activation, str) and activation in ACTIVATIONS):
-        raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
-    _check_tables(algo, values, where)
     for name in ("n_envs", "n_timesteps"):
         value = values.get(name, 1)
         if not (isinstance(value, int) and value >= 1):
             raise AgentError(f"{where}: {name} = {value!r}: must be a whole number, 1 or more")
-
-
-def _check_tables(algo: str, values: Mapping[str, Any], where: str) -> None:
-    """Refuse values of the reward and of what is corrected."""
-    weights = values.get("reward_weights", {})
-    if not isinstance(weights, Mapping):
-        raise AgentError(f"{where}: reward_weights = {weights!r}: must be a table [reward_weights]")
-    numbers = {"reward": {"scale": 1.0, "least": -math.inf}, "residual": {"share": 1.0}}
-    for table, defaults in numbers.items():
-        for name, value in {**defaults, **values.get(table, {})}.items():
-            if name in defaults and not _is_number(value):
-                raise AgentError(f"{where}: [{table}] {name} = {value!r}: must be a number")
-    if values.get("reward", {}).get("scale", 1.0) <= 0.0:
-        raise AgentError(f"{where}: [reward] scale must be above 0")
-    if algo in CORRECTING:
-        residual = values.get("residual", {})
-        if residual.get("base", BASES[0]) not in BASES or not residual.get("share", 1.0) > 0.0:
+    for table, name, least in (("reward", "scale", 0.0), ("reward", "least", -math.inf),
+                               ("residual", "share", 0.0)):  # fmt: skip
+        value = values.get(table, {}).get(name, 1.0)
+        if not isinstance(value, (int, float)) or not value > least:
             raise AgentError(
-                f"{where}: [residual] = {dict(residual)}: base must be one of {', '.join(BASES)}, "
-                "and share above 0"
+                f"{where}: [{table}] {name} = {value!r}: must be a number above {least:g}"
             )
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
+    if not (isinstance(activation, str) and activation in ACTIVATIONS):
+        raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
+    base = values.get("residual", {}).get("base", BASES[0])
+    if base not in BASES:
+        raise AgentError(f"{where}: [residual] base = {base!r}; use {', '.join(BASES)}")
 
 
 def algorithm_class(algo: str) -> type[BaseAlgorithm]:

@@ -9,12 +9,12 @@ goes on from a checkpoint is the run that was never stopped.
 from __future__ import annotations
 
 import csv
-import hashlib
+import functools
 import importlib.util
 import io
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.agents.controllers import make_controller
 from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
 from twin.agents.hyperparameters import (
     ALGORITHMS,
+    CORRECTING,
     SCHEDULES,
     algorithm_class,
     check_algorithm,
@@ -34,8 +36,8 @@ from twin.agents.hyperparameters import (
     torch_options,
 )
 from twin.agents.policy import AgentError, Policy
-from twin.agents.residual import Residual, make_base, residual_of
-from twin.agents.warm_start import actor_layers, start_from
+from twin.agents.weights import begin_nominal, policy_of, start_from
+from twin.parallel import results_of
 from twin.sim.compact import COMPACT_SETS
 from twin.sim.wrapper import resolved
 from usv_gym.envs.tasks import make_task
@@ -49,8 +51,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Plan",
     "Run",
-    "policy_of",
     "train",
+    "train_all",
 ]
 
 
@@ -60,18 +62,14 @@ EVERY = 131_072
 CURVE_SEEDS = tuple(range(800_000, 800_016))
 """Episodes behind each point of a learning curve."""
 
-CURVE_MAX = 1 << 24
-"""Longest learning curve, bytes."""
+CURVE_BYTES_MAX = 1 << 24
+"""Longest learning curve that is read."""
 
-_CHECKSUM = 32
-"""Bytes of a checksum before a checkpoint: torch itself may crash on a damaged one."""
+NOTES, CHECKPOINT, CURVE, POLICY = "run.json", "checkpoint.pt", "curve.csv", "policy.npz"
+"""Files of a run."""
 
-FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
-
-_NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
-
-
-_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+"""Arrays of a replay buffer of Stable-Baselines3."""
 
 
 @dataclass(frozen=True)
@@ -140,19 +138,19 @@ class Run:
     @classmethod
     def of(cls, folder: Path) -> Run:
         """Return the run of a folder; AgentError where it has not ended, or is no run."""
-        if not (folder / _POLICY).exists():
+        if not (folder / POLICY).exists():
             went = "has not ended: the command that began it goes on with it"
-            raise AgentError(f"{folder}: {went if (folder / _NOTES).exists() else 'is no run'}")
-        path = folder / _CURVE
-        text = read_limited(path, AgentError, CURVE_MAX).decode("utf-8", "replace")
+            raise AgentError(f"{folder}: {went if (folder / NOTES).exists() else 'is no run'}")
+        path = folder / CURVE
+        text = read_limited(path, AgentError, CURVE_BYTES_MAX).decode("utf-8", "replace")
         try:
-            rows = csv.DictReader(io.StringIO(text))
+            rows = csv.DictReader(text.splitlines())
             curve = [{key: float(value) for key, value in row.items()} for row in rows]
         except (TypeError, ValueError, csv.Error) as error:
             raise AgentError(
                 f"{path}: is no learning curve ({error}); delete {folder} and train again"
             ) from None
-        return cls(folder, Policy.load(folder / _POLICY), curve)
+        return cls(folder, Policy.load(folder / POLICY), curve)
 
 
 def train(
@@ -167,8 +165,9 @@ def train(
 ) -> Run:
     """Train an agent, or go on with it, until it is done; AgentError: the folder holds another run.
 
-    The folder has ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
-    ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``. ``hyper`` is that of
+    The folder has ``run.json`` (the plan), ``checkpoint.pt`` until it ends, ``curve.csv``, ``log/``
+    (what Stable-Baselines3 logs, as CSV, and for TensorBoard if that is installed), and at the end
+    ``policy.npz``. ``hyper`` is that of
     :func:`hyperparameters` if left out; ``curve_seeds`` are the episodes of each point of the
     learning curve. ``num_threads`` share the boats, which changes no result. ``callback`` is
     ``"module:function"``: Stable-Baselines3 calls it in each step with its local and global
@@ -180,7 +179,7 @@ def train(
     check_hyperparameters(plan.algo, hyper, "hyper")
     notes = {"plan": asdict(plan), "hyper": hyper, "curve_seeds": list(curve_seeds)}
     _check_claim(folder, notes)
-    if not (folder / _POLICY).exists():
+    if not (folder / POLICY).exists():
         import torch
 
         torch.set_num_threads(1)  # several are slower on networks of this size
@@ -188,34 +187,46 @@ def train(
         learner = _Learner(plan, folder, hyper, curve_seeds, num_threads)
         try:
             # only after the learner could be made
-            write_whole(folder / _NOTES, (json.dumps(notes, indent=1) + "\n").encode())
+            write_whole(folder / NOTES, (json.dumps(notes, indent=1) + "\n").encode())
             learner.learn(progress, given)
         finally:
             learner.envs.close()
-        settings = {**asdict(plan), "hyper": hyper, "version": __version__}
-        policy = policy_of(learner.model, learner.envs, plan, settings, learner.residual)
-        policy.save(folder / _POLICY)
-    for path in (folder / _CHECKPOINT, *folder.glob("replay_*.pt"), *folder.glob(".*.pt")):
-        path.unlink(missing_ok=True)
+        learner.policy({**asdict(plan), "hyper": hyper, "version": __version__}).save(
+            folder / POLICY
+        )
+    (folder / CHECKPOINT).unlink(missing_ok=True)
     return Run.of(folder)
+
+
+def train_all(
+    plans: Sequence[Plan], out: Path, *, jobs: int = 1, **options: Any
+) -> Iterator[tuple[Plan, Run]]:
+    """Train all plans, each in the folder ``out/<name>-<seed>``, and yield each as it is done.
+
+    ``jobs`` are trained at once, which changes no result; ``options`` are those of :func:`train`.
+    """
+    calls = [
+        functools.partial(train, plan, out / f"{plan.name}-{plan.seed}", **options)
+        for plan in plans
+    ]
+    for i, run in results_of(calls, jobs=jobs):
+        yield plans[i], run
 
 
 def _check_claim(folder: Path, notes: dict[str, Any]) -> None:
     """Refuse a folder that is another run's."""
-    path = folder / _NOTES
+    path = folder / NOTES
     if not path.exists():
         return
     before, now = read_json(path, AgentError), json.loads(json.dumps(notes))
     if not isinstance(before, dict) or not isinstance(before.get("plan"), dict):
         raise AgentError(f"{path}: does not describe a run; delete {folder} or choose another one")
-    parts = {**now["plan"], "hyper": now["hyper"], "curve_seeds": now["curve_seeds"]}
-    # options that came later had these values
-    old = {**asdict(Plan("ppo", "raw", 1)), **before["plan"], **before}
-    for name in parts:
-        if parts[name] != old.get(name):
+    before, now = ({**one.pop("plan"), **one} for one in (before, now))
+    for name, value in now.items():
+        if value != before.get(name):
             raise AgentError(
-                f"{folder}: is a run with {name} = {old.get(name)}, not {parts[name]}; choose "
-                "another folder, or delete this one"
+                f"{folder}: is a run with {name} = {before.get(name)}, not {value}; choose another "
+                "folder, or delete this one"
             )
 
 
@@ -227,12 +238,10 @@ class _Learner:
         num_threads: int = 1,
     ) -> None:  # fmt: skip
         self.plan, self.folder, self.curve_seeds = plan, folder, curve_seeds
-        self.hyper = hyper
         algorithm = algorithm_class(plan.algo)
-        from stable_baselines3.common.logger import configure
         from stable_baselines3.common.vec_env import VecNormalize
 
-        from twin.agents.corrected_boats import ResidualVecEnv, ScaledReward
+        from twin.agents.residual import ResidualVecEnv, ScaledReward
         from usv_gym.envs.sb3 import SB3VecEnv
 
         options = dict(hyper)
@@ -243,7 +252,10 @@ class _Learner:
         nominal = options.pop("reward_weights", {})
         weights = {name: nominal[name] for name in nominal if name in terms}
         weights |= plan.reward_weights
-        self.residual = residual_of(plan.algo, options.pop("residual", {}), plan.task)
+        residual = options.pop("residual", {})
+        docks = "dock-twin" if plan.task == "docking" else "los-twin"
+        self.base = residual.get("base", docks) if plan.algo in CORRECTING else ""
+        self.share = residual.get("share", 0.5) if self.base else 1.0
         self.n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
         # without scores, forecasts that nobody reads are not made
         env: dict[str, Any] = {"forecast_scores": False, **plan.environment}
@@ -258,10 +270,10 @@ class _Learner:
         try:
             gamma = options.get("gamma", 0.99)
             boats: Any = SB3VecEnv(made)
-            if self.residual is not None:
-                shown = made.observation_names
-                seen = len(shown) - len(self._added)
-                boats = ResidualVecEnv(boats, make_base(self.residual), self.residual.share, seen)
+            if self.base:
+                base: Any = make_controller(self.base)
+                seen = len(made.observation_names) - len(self._added)
+                boats = ResidualVecEnv(boats, base, self.share, seen)
             boats = ScaledReward(boats, **reward)
             self.envs = VecNormalize(boats, gamma=gamma, **normalize)
             kind = ALGORITHMS[plan.algo][2]
@@ -269,31 +281,34 @@ class _Learner:
         except (AssertionError, AttributeError, TypeError, ValueError) as error:
             made.close()
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
-        if self.residual is None:
-            _begin_nominal(self.model, made.episodes.nominal_action)
+        if not self.base:
+            begin_nominal(self.model, made.episodes.nominal_action)
         if plan.init:
-            base = "" if self.residual is None else self.residual.base
-            start_from(Policy.load(plan.init), self.model, self.envs, base)
-        if importlib.util.find_spec("tensorboard") is None:
-            raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
-        self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+            start_from(Policy.load(plan.init), self.model, self.envs, self.base)
         self.curve: list[dict[str, float]] = []
         self.spent, self.since = np.zeros(2), _clocks()
-        self.saved = 0
-        """Number of transitions that were written."""
         self._resume()
+
+    def _open_log(self) -> None:
+        """Log as CSV, a file for each time that it goes on, and for TensorBoard if installed."""
+        from stable_baselines3.common.logger import Logger, make_output_format
+
+        kinds = ["csv", "tensorboard"] if importlib.util.find_spec("tensorboard") else ["csv"]
+        folder, suffix = str(self.folder / "log"), f"_{self.model.num_timesteps}"
+        outputs = [make_output_format(kind, folder, suffix) for kind in kinds]
+        self.model.set_logger(Logger(folder, outputs))
 
     def _observation(self) -> str | list[str]:
         """Return the observation of the boats: the agent's, and behind it what its base needs."""
         seen, self._added = self.plan.observation, list[str]()
-        if self.residual is None:
+        if not self.base:
             return seen if isinstance(seen, str) else list(seen)
         if isinstance(seen, str) and seen in COMPACT_SETS:
             seen = [one.name for one in COMPACT_SETS[seen][1]]
         if isinstance(seen, str):  # another whole set has them, or the base says what it lacks
             return seen
-        entries = make_base(self.residual).entries
-        self._added = [name for name in entries if name not in seen]
+        base: Any = make_controller(self.base)
+        self._added = [name for name in base.entries if name not in seen]
         return [*seen, *self._added]
 
     def learn(self, progress: bool = False, callback: Any = None) -> None:
@@ -317,23 +332,25 @@ class _Learner:
             def _on_step(self) -> bool:
                 return True
 
-        left = self.plan.steps - self.model.num_timesteps
-        if left > 0:
+        self._open_log()
+        # torch would check each distribution; the boats refuse an action that is no number
+        Distribution.set_default_validate_args(False)
+        try:
             self.since = _clocks()
-            # learn() would reset new boats before they are seeded; the break resets them after
-            self.model._last_obs = np.empty(0)
-            # torch would check each distribution; the boats refuse an action that is no number
-            Distribution.set_default_validate_args(False)
-            try:
+            left = self.plan.steps - self.model.num_timesteps
+            if left > 0:
+                # learn() would reset new boats before they are seeded; the break resets them after
+                self.model._last_obs = np.empty(0)
                 self.model.learn(
                     left,
                     callback=[Breaks(), callback] if callback else Breaks(),
                     reset_num_timesteps=False,
                     progress_bar=progress,
                 )
-            finally:
-                Distribution.set_default_validate_args(__debug__)
-        self.measure()
+            self.measure()
+        finally:
+            Distribution.set_default_validate_args(__debug__)
+            self.model.logger.close()
 
     def take_break(self) -> None:
         """Evaluate, save, and start again, as a resumed run would."""
@@ -353,10 +370,17 @@ class _Learner:
         model._last_original_obs = self.envs.get_original_obs()
         model.ep_info_buffer.clear()
 
+    def policy(self, settings: dict[str, Any]) -> Policy:
+        """Return the policy as it is now; ``settings`` are kept in its file."""
+        plan = self.plan
+        return policy_of(
+            self.model, self.envs, plan.name, plan.observation, settings, self.base, self.share
+        )
+
     def measure(self) -> None:
         """Add a point to the learning curve."""
         self.spent += _clocks() - self.since
-        policy = policy_of(self.model, self.envs, self.plan, {}, self.residual)
+        policy = self.policy({})
         options = self.plan.environment | {"forecast_scores": False}
         rows = evaluate(policy, seeds=self.curve_seeds, **options)
         wall, cpu = self.spent.round(3).tolist()
@@ -370,23 +394,14 @@ class _Learner:
         writer = csv.DictWriter(text, list(point), lineterminator="\n")
         writer.writeheader()
         writer.writerows(self.curve)
-        write_whole(self.folder / _CURVE, text.getvalue().encode())
+        write_whole(self.folder / CURVE, text.getvalue().encode())
         self.since = _clocks()
 
     def _save(self) -> None:
         """Write a checkpoint of arrays and numbers only, so that loading it runs no code."""
         import torch
 
-        model, envs = self.model, self.envs
-        buffer = getattr(model, "replay_buffer", None)
-        if buffer is not None:
-            # new rows go into a file of their own: a buffer may have hundreds of megabytes
-            total = model.num_timesteps // envs.num_envs
-            rows = np.arange(self.saved, total) % buffer.buffer_size
-            _write(self.folder / f"replay_{total:08d}.pt", {
-                name: torch.from_numpy(getattr(buffer, name)[rows]) for name in _ARRAYS
-            })  # fmt: skip
-            self.saved = total
+        model = self.model
         state = {
             "decisions": model.num_timesteps,
             "updates": model._n_updates,
@@ -395,48 +410,46 @@ class _Learner:
             "parameters": model.get_parameters(),
             "normalize": {
                 name: [torch.as_tensor(rms.mean), torch.as_tensor(rms.var), rms.count]
-                for name, rms in _averages(envs).items()
+                for name, rms in _averages(self.envs).items()
             },
         }
         if getattr(model, "log_ent_coef", None) is not None:
             state["log_ent_coef"] = model.log_ent_coef.detach()
-        _write(self.folder / _CHECKPOINT, state)
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+            rows = buffer.size()
+            state["replay"] = {n: torch.from_numpy(getattr(buffer, n)[:rows]) for n in REPLAY}
+            state["replay_end"] = [buffer.pos, buffer.full]
+        packed = io.BytesIO()
+        torch.save(state, packed)
+        write_whole(self.folder / CHECKPOINT, packed.getvalue())
 
     def _resume(self) -> None:
         """Go on from the last checkpoint, if there is one."""
-        path = self.folder / _CHECKPOINT
+        import torch
+
+        path = self.folder / CHECKPOINT
         if not path.exists():
             return
         try:
-            self._restore(_read(path))
-        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError):
-            # ValueError: AgentError of a damaged file as well
+            self._restore(torch.load(path, weights_only=True))
+        except Exception:  # damaged files fail in many ways
             raise AgentError(f"{path}: is damaged; delete {self.folder} and train again") from None
 
     def _restore(self, state: dict[str, Any]) -> None:
         """Take on the state of a checkpoint."""
-        model, envs = self.model, self.envs
+        model = self.model
         model.set_parameters(state["parameters"], device="cpu")
         model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
         self.spent, self.curve = np.array(state["spent"]), state["curve"]
-        if "log_ent_coef" in state:
-            model.log_ent_coef.data.copy_(state["log_ent_coef"])
-        for name, rms in _averages(envs).items():
+        for name, rms in _averages(self.envs).items():
             mean, var, count = state["normalize"][name]
             rms.mean, rms.var, rms.count = mean.numpy(), var.numpy(), count
-        buffer = getattr(model, "replay_buffer", None)
-        if buffer is not None:
-            total = model.num_timesteps // envs.num_envs
-            for part in sorted(self.folder.glob("replay_*.pt")):
-                if int(part.stem[7:]) > total:  # its checkpoint was never written
-                    continue
-                arrays = _read(part)
-                upto = int(part.stem[7:])
-                rows = np.arange(self.saved, upto) % buffer.buffer_size
-                for name in _ARRAYS:
-                    getattr(buffer, name)[rows] = arrays[name].numpy()
-                self.saved = upto
-            buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
+        if "log_ent_coef" in state:
+            model.log_ent_coef.data.copy_(state["log_ent_coef"])
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+            for name, rows in state["replay"].items():
+                getattr(buffer, name)[: len(rows)] = rows.numpy()
+            buffer.pos, buffer.full = state["replay_end"]
 
 
 def _clocks() -> NDArray[np.float64]:
@@ -456,90 +469,13 @@ def callback_named(name: str) -> Any:
     return ConvertCallback(found)
 
 
-def _begin_nominal(model: Any, action: NDArray[np.float64]) -> None:
-    """Let an untrained agent hold the nominal speed: it learns sooner than one that lies still."""
-    import torch
-
-    net = model.policy
-    if hasattr(net, "actor"):  # its actions go through tanh
-        net.actor.mu.bias.data.copy_(torch.from_numpy(np.arctanh(0.999 * action)))
-    else:
-        net.action_net.bias.data.copy_(torch.from_numpy(action))
-
-
 def _averages(envs: VecNormalize) -> dict[str, Any]:
     """Return the running means and variances of observations and returns."""
     found = {"returns": envs.ret_rms}
     return found | {"observations": envs.obs_rms} if envs.norm_obs else found
 
 
-def _read(path: Path) -> Any:
-    """Return what :func:`_write` wrote."""
-    import torch
-
-    content = path.read_bytes()
-    checksum, packed = content[:_CHECKSUM], content[_CHECKSUM:]
-    if hashlib.sha256(packed).digest() != checksum:
-        raise AgentError(f"{path}: is damaged; delete {path.parent} and train again")
-    return torch.load(io.BytesIO(packed), weights_only=True)
-
-
-def _write(path: Path, content: Any) -> None:
-    import torch
-
-    packed = io.BytesIO()
-    torch.save(content, packed)
-    write_whole(path, hashlib.sha256(packed.getvalue()).digest() + packed.getvalue())
-
-
 def _seed_of(seed: int, steps: int) -> int:
     """Return the seed of the part after a break, which no evaluation uses."""
     drawn = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
-
-
-def policy_of(
-    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any],
-    residual: Residual | None = None,
-) -> Policy:  # fmt: skip
-    """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
-
-    The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file. ``residual`` is what
-    it corrects, if anything.
-    """
-    net = model.policy
-    off_policy = hasattr(net, "actor")
-    layers = [(_array(layer.weight), _array(layer.bias)) for layer in actor_layers(net)]
-    lstm = None
-    if hasattr(net, "lstm_actor"):
-        of = net.lstm_actor
-        bias = _array(of.bias_ih_l0 + of.bias_hh_l0)
-        lstm = _array(of.weight_ih_l0), _array(of.weight_hh_l0), bias
-    size = envs.observation_space.shape[0]
-    mean, sd, clip = np.zeros(size), np.ones(size), np.inf
-    if envs.norm_obs:
-        mean, clip = envs.obs_rms.mean.copy(), float(envs.clip_obs)
-        sd = np.sqrt(envs.obs_rms.var + envs.epsilon)
-    default = "relu" if off_policy else "tanh"
-    kind = net.activation_fn.__name__.lower() if net.activation_fn else default
-    names = tuple(envs.unwrapped.envs.observation_names)
-    whole = isinstance(plan.observation, str) and size == len(names)
-    return Policy(
-        name=plan.name,
-        observation=str(plan.observation) if whole else list(names),
-        names=names,
-        settings=settings,
-        mean=mean,
-        sd=sd,
-        clip=clip,
-        layers=layers,
-        lstm=lstm,
-        activation=kind,
-        squash=off_policy,
-        base="" if residual is None else residual.base,
-        share=1.0 if residual is None else residual.share,
-    )
-
-
-def _array(parameter: Any) -> Any:
-    return parameter.detach().numpy().copy()

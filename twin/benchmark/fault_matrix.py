@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.publish.sources import predictor_digest
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject, simulate_with
+from twin.benchmark.sources import predictor_digest
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.health.state import SENSORS

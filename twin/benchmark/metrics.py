@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.protocol import HORIZONS, TYPICAL, UNIT_KEY
+from twin.benchmark.protocol import HORIZONS, UNIT_KEY
 from twin.benchmark.scores import CHANNELS, STUDY_CHANNELS
 
 __all__ = [
@@ -27,26 +26,39 @@ __all__ = [
     "rows_of",
     "run_rows",
     "summarise",
-    "trends",
 ]
 
 Array = NDArray[np.float64]
 
-METRICS = (
-    "mae",
-    "mae_median",
-    "mse",
-    "normalised",
-    "skill",
-    "J",
-    "E",
-    "E_runs",
-    "crps",
-    "start_error",
-    "displacement_10s",
-    "psi_10s",
-    "coverage90",
-)
+METRICS = {
+    "mae": ("MAE", "mean absolute error over all channels and horizons, units mixed"),
+    "mae_median": ("median MAE", "median of the MAE over seeds"),
+    "mse": ("MSE", "mean squared error, pooled in the same way"),
+    "normalised": ("normalised error", "MAE over the size of the true change, mean of channels"),
+    "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
+    "J": (
+        "J",
+        "MAE over all runs over that of the oracle: mean of u, v, r, heading and displacement, "
+        "every half second up to 10 s",
+    ),
+    "E": ("E", "J - 1, the excess over the oracle"),
+    "E_runs": ("mean E of runs", "the same for each run by itself, mean over runs"),
+    "crps": (
+        "CRPS",
+        "score of the whole distribution, pooled as the MAE; without a spread it is the MAE",
+    ),
+    "start_error": (
+        "start error (m)",
+        "error of the estimated position at the time of the prediction",
+    ),
+    "displacement_10s": ("displacement (m)", "MAE of the displacement after 10 s"),
+    "psi_10s": ("heading (rad)", "MAE of the heading after 10 s"),
+    "coverage90": (
+        "90 % coverage",
+        "share of errors inside the 90 % prediction intervals; 0.9 is ideal",
+    ),
+}
+"""Heading and meaning of each metric, in the order of the table's columns."""
 
 BASELINE, ORACLE = "persistence", "oracle"
 """Predictors that others are compared with."""
@@ -274,67 +286,6 @@ def channel_table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         for channel, metrics in parts[0].items()
         for j, horizon in enumerate(HORIZONS)
     ]
-
-
-def _gps_loss(row: dict[str, Any]) -> float | None:
-    """Return the length of a loss of GPS alone, s; None in other cases."""
-    lost = re.fullmatch(r"gps(\d+\.?\d*)", row["fault"])
-    return 0.0 if row["fault"] == "none" else float(lost[1]) if lost else None
-
-
-def _sea_state(row: dict[str, Any]) -> float | None:
-    """Return the number of a sea state without losses; None in other cases."""
-    return float(row["sea"]) if row["sea"].isdigit() and row["fault"] == "none" else None
-
-
-TRENDS: dict[str, Callable[[dict[str, Any]], float | None]] = {
-    "gps_loss_s": _gps_loss,
-    "sea_state": _sea_state,
-}
-"""Variables of the trends, each of simulated runs that differ in nothing else."""
-
-
-def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
-    """Return the error against the length of a GPS loss, and against the sea state.
-
-    Each value is the mean over boats of the mean over scenarios, with its 95 % bootstrap
-    interval over boats. A trend needs at least three values of its variable; that over losses is
-    in one sea state.
-    """
-    rows = []
-    for axis, value_of in TRENDS.items():
-        kept = [
-            (value, row)
-            for row in runs
-            if row["grade"] == TYPICAL and (axis == "sea_state" or row["sea"] == sea)
-            if (value := value_of(row)) is not None
-        ]
-        if len({pair[0] for pair in kept}) < 3:
-            continue
-        cells: dict[tuple[Any, ...], dict[int, list[dict[str, Any]]]] = {}
-        for value, row in kept:
-            cell = cells.setdefault((row["predictor"], row["plan"], value), {})
-            cell.setdefault(row["seed"], []).append(row)
-        for (predictor, plan, value), seeds in sorted(cells.items(), key=lambda item: item[0][2]):
-            for metric in ("displacement_10s", "psi_10s", "start_error"):
-                means = np.array(
-                    [np.mean([row[metric] for row in seeds[seed]]) for seed in sorted(seeds)]
-                )
-                low, high = interval_of(resampled(means), len(means))
-                rows.append(
-                    {
-                        "axis": axis,
-                        "at": value,
-                        "predictor": predictor,
-                        "plan": plan,
-                        "metric": metric,
-                        "value": float(means.mean()),
-                        "low": low,
-                        "high": high,
-                        "seeds": len(means),
-                    }
-                )
-    return rows
 
 
 def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:

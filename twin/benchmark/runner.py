@@ -15,13 +15,13 @@ import math
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
-from twin.benchmark.figures.deck import SHOWN_AHEAD
+from twin.benchmark.figures.runs import SHOWN_AHEAD
 from twin.benchmark.loading import Run, fault_start, load_run
 from twin.benchmark.metrics import (
     channel_table,
@@ -30,7 +30,6 @@ from twin.benchmark.metrics import (
     rows_of,
     run_rows,
     summarise,
-    trends,
 )
 from twin.benchmark.motion_scores import (
     MotionScore,
@@ -40,8 +39,8 @@ from twin.benchmark.motion_scores import (
     quiet_rows,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
-from twin.benchmark.publish.sources import predictor_digest, versions
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
+from twin.benchmark.sources import predictor_digest, versions
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
@@ -65,7 +64,6 @@ from usv_kernel.files import write_whole
 __all__ = [
     "AGAINST",
     "collect",
-    "recorded_against",
     "run_figures",
     "run_unit",
     "runs",
@@ -87,21 +85,13 @@ NAME_MAX = 180
 """Longest name of a result file without its ending, characters; file systems take 255."""
 
 
-class _Parameters(NamedTuple):
-    """The parameters that a twin estimated at one time, as they are stored."""
-
-    t: float
-    params: list[float]
-    params_sd: list[float]
-
-
 def run_unit(
     settings: Settings, unit: Unit, folder: Path, *, pictures: bool, run: Run | None = None
 ) -> dict[str, Any]:
     """Run one predictor on one run, score it, and keep the result in a file of the folder.
 
-    The file is replaced as a whole or not at all. ``pictures`` keeps what the pictures need:
-    parameter histories and a few predictions. ``run`` is from :func:`load_run`, where at hand.
+    The file is replaced as a whole or not at all. ``pictures`` keeps a few predictions for the
+    pictures. ``run`` is from :func:`load_run`, where at hand.
     The result has ``unit``, ``plans`` with a table of scores each (see
     :func:`twin.benchmark.scores.table_of`), and what the pictures need.
     """
@@ -119,7 +109,7 @@ def run_unit(
     ended: list[dict[str, float]] = []
     held = RecordedPersistence(run.reference, reference, unit.log) if unit.log else None
     held_errors: list[Array] = []
-    next_origin, next_second = identify, float(seen.t[0])
+    next_origin = identify
     scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
     motions: dict[str, list[MotionScore]] = {plan: [] for plan in settings.plans}
     starts: list[float] = []
@@ -127,17 +117,12 @@ def run_unit(
     examples: list[Prediction] = []
     ahead: list[tuple[float, Array, Array]] = []
     prediction: Prediction | None = None
-    history: list[_Parameters] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
         # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
         if row in loss_ends:
             ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference))
-        if pictures and t >= next_second - 1e-9:
-            next_second += 1.0
-            estimate = twin.estimate()
-            history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
         shown = pictures and row % DRAWN_EVERY == 0 and t + SHOWN_AHEAD <= seen.t[-1]
         if shown and motion_truth is not None and prediction is not None:
             drawn = twin.motion.forecast(
@@ -213,20 +198,8 @@ def run_unit(
                 **{"t": times.tolist(), "mean": means.tolist(), "sd": sds.tolist()},
                 "truth": motion_truth.at(times).tolist(),
             }
-        result["history"] = {
-            **{name: [getattr(row, name) for row in history] for name in _Parameters._fields},
-            "names": twin.predictor.parameter_names,
-            "units": twin.predictor.parameter_units,
-            "blocks": dict(twin.predictor.parameter_blocks),
-        }
     keep(result_file(folder, unit), [digest(settings, unit), pictures], result)
     return result
-
-
-def _deck_of(result: dict[str, Any]) -> DeckHistory | None:
-    """Return the forecasts of the deck's motion that a result kept for a picture."""
-    deck = result.get("deck")
-    return None if deck is None else DeckHistory(**{k: np.array(v) for k, v in deck.items()})
 
 
 def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
@@ -259,6 +232,12 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
         "low": prediction.low[rows].tolist(),
         "high": prediction.high[rows].tolist(),
     }
+
+
+def _prediction_of(example: dict[str, Any]) -> Prediction:
+    """Return what :func:`_thin` has kept of a prediction."""
+    arrays: dict[str, Any] = {key: np.array(part) for key, part in example.items() if key != "t0"}
+    return Prediction(example["t0"], **arrays)
 
 
 def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
@@ -417,11 +396,6 @@ def _portable(error: Exception) -> BenchmarkError:
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
 
-def recorded_against(settings: Settings) -> str:
-    """Return the reference of the comparison on recorded runs."""
-    return AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
-
-
 def collect(
     settings: Settings,
     done: dict[Unit, dict[str, Any]],
@@ -436,7 +410,7 @@ def collect(
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
     runs = run_rows(ordered)
-    simulated = [row for row in runs if row["sea"]]
+    on_recorded = AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
     return {
         "version": __version__,
         "program": {"sources": running_program(), **versions()},
@@ -466,10 +440,9 @@ def collect(
         "quiet": list(quiet_rows(ordered)),
         "summary": summarise(runs),
         "paired": compare(runs, against or AGAINST),
-        "recorded": recorded_table(ordered, against or recorded_against(settings)),
-        "verdict": verdict_rows(simulated, settings),
+        "recorded": recorded_table(ordered, against or on_recorded),
+        "verdict": verdict_rows([row for row in runs if row["sea"]], settings),
         "losses": loss_rows(ordered),
-        "trends": trends(simulated, settings.sea_name),
         "channels": channel_table(ordered),
         "horizons_s": list(STUDY_HORIZONS),
         "runs": runs,
@@ -508,7 +481,7 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
     shown: dict[tuple[str, str, int], RunFigure] = {}
     for unit in units(settings):
         result = done.get(unit)
-        if result is None or "history" not in result:
+        if result is None or "examples" not in result:
             continue
         key = (unit.scenario, unit.fault, unit.seed)
         if key not in shown:
@@ -521,27 +494,9 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
                 lost=lost_gps(settings, unit, run),
                 predictors={},
             )
-        history = result["history"]
+        deck = result.get("deck")
         shown[key].predictors[unit.predictor] = PredictorFigure(
-            examples=[
-                Prediction(
-                    t0=example["t0"],
-                    start=np.array(example["start"]),
-                    start_cov=np.array(example["start_cov"]),
-                    t=np.array(example["t"]),
-                    mean=np.array(example["mean"]),
-                    cov=np.array(example["cov"]),
-                    low=np.array(example["low"]),
-                    high=np.array(example["high"]),
-                )
-                for example in result["examples"]
-            ],
-            t=np.array(history["t"]),
-            params=np.array(history["params"]),
-            params_sd=np.array(history["params_sd"]),
-            deck=_deck_of(result),
-            names=tuple(history["names"]),
-            units=tuple(history["units"]),
-            blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},
+            examples=[_prediction_of(example) for example in result["examples"]],
+            deck=None if deck is None else DeckHistory(**{k: np.array(v) for k, v in deck.items()}),
         )
     return list(shown.values())

@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.progress import TimeRemainingColumn
@@ -26,7 +26,6 @@ from twin.benchmark.protocol import (
     sea_settings,
     units,
 )
-from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import (
     CPUS,
     OPTIONS_EXAMPLE,
@@ -40,7 +39,6 @@ from twin.cli.common import (
     WindOption,
     console,
     errors,
-    new_table,
     note,
     parse_list,
     parse_predictors,
@@ -50,6 +48,7 @@ from twin.cli.common import (
     stopped,
     write_text,
 )
+from twin.cli.tables import print_results, print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
@@ -60,9 +59,6 @@ from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP
 from usv_kernel.files import write_whole
-
-if TYPE_CHECKING:
-    from twin.benchmark.conformance import Finding
 
 
 def benchmark_command(
@@ -78,22 +74,10 @@ def benchmark_command(
     check: Annotated[
         str | None,
         typer.Option(
-            help="Only check that a predictor (a name, or module:Class) keeps the contract of "
-            "all predictors. Exit code 1: it does not."
+            help="Only check that no forecast of a predictor (a name, or module:Class) uses rows "
+            "after its origin, and that all are finite. Exit code 1: it fails."
         ),
     ] = None,
-    submit_check: Annotated[
-        Path | None,
-        typer.Option(
-            help="Only verify a folder of results: program, predictors, settings, tables, and a "
-            "sample computed again. --log names recorded runs that it scores. Exit code 1: it "
-            "does not hold."
-        ),
-    ] = None,
-    sample: Annotated[
-        int,
-        typer.Option(help="With --submit-check: results computed again of each predictor.", min=0),
-    ] = 1,
     faults_matrix: Annotated[
         bool,
         typer.Option(
@@ -217,9 +201,6 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
-    if submit_check is not None:
-        _submit_check(submit_check, log or [], sample)
-        return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
         sea = sea_settings(hs, wind, wind_from)
@@ -277,10 +258,9 @@ def benchmark_command(
         errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _run_all(settings, out, jobs, backend, fresh)
-    not_scored = tuple(
-        f"not scored: {reason if run in reason else f'{run}: {reason}'}"
-        for run, reason in {**missing, **failed}.items()
-    )
+    reasons = [*missing.items(), *((unit.log or unit.run, why) for unit, why in failed.items())]
+    said = (why if run in why else f"{run}: {why}" for run, why in reasons)
+    not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = runner.collect(settings, done, command, notes + not_scored, against)
     _write_tables(results, latex, csv)
@@ -288,13 +268,13 @@ def benchmark_command(
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
-    print_verdict({**results, "notes": []})  # they were printed before the runs
+    print_scores({**results, "notes": []})  # they were printed before the runs
     if verbose:
         print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
-    if len(done) + sum(failed.counts.values()) < len(work):
+    if len(done) + len(failed) < len(work):
         kept = sum(runner.result_file(out, unit).exists() for unit in work)
         raise stopped(
             f"{kept} of {len(work)} results are kept in {out}; the same command goes on from there"
@@ -317,7 +297,7 @@ def benchmark_command(
 
 def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
     """Write the tables for a paper, as far as they are asked for."""
-    from twin.benchmark.publish.tables import csv_text, latex_text
+    from twin.benchmark.export import csv_text, latex_text
 
     for path, text_of in ((latex, latex_text), (csv, csv_text)):
         if path is not None:
@@ -341,7 +321,7 @@ def _find_logs(logs: list[Path]) -> tuple[tuple[str, ...], dict[str, str]]:
     for given in logs:
         try:
             found += match_files(given)
-        except LogError as error:  # noqa: PERF203
+        except LogError as error:
             missing[str(given)] = str(error)
     if missing and not found:
         raise LogError("; ".join(missing.values()))
@@ -360,48 +340,18 @@ def match_files(given: Path) -> list[str]:
 
 
 def _check(name: str) -> None:
-    """Print whether a predictor keeps the contract; exit code 1 if it does not."""
-    from twin.benchmark.conformance import check
+    """Print whether a predictor's forecasts use no later rows; exit code 1 if they do."""
+    from twin.benchmark.conformance import ContractError, check_predictor
 
-    with status("checking"):
-        found = check(name)
-    _print_findings(f"contract of {name}", found)
-
-
-def _submit_check(folder: Path, logs: list[Path], sample: int) -> None:
-    """Print whether a folder of results holds; exit code 1 if it does not."""
-    from twin.benchmark.publish.submission import check_submission
-
-    files = [file for given in logs for file in match_files(given)]
-    with progress_bar(transient=True, console=errors) as progress:
-        bar = progress.add_task("checking", total=None)
-        found = list(
-            check_submission(
-                folder,
-                logs=files,
-                sample=sample,
-                started=lambda text: progress.update(bar, advance=1, description=text),
-            )
-        )
-    _print_findings(f"results in {folder}", found)
-
-
-def _print_findings(title: str, found: Sequence[Finding]) -> None:
-    """Print findings, and the lines of code that failed; exit code 1 if one has failed."""
-    heads = ("", "check", "result")
-    table = new_table(title, *heads, left=heads)
-    table.columns[-1].no_wrap = False
-    marks = {True: "pass", False: "FAIL", None: "skip"}
-    for item in found:
-        table.add_row(marks[item.passed], item.name, item.text)
-    console.print(table)
-    for item in found:
-        if item.place:  # in one piece, for editors that open it
-            errors.print(f"{item.name}: {item.place}", style="red", soft_wrap=True)
-    broken = sum(item.passed is False for item in found)
-    console.print(f"{len(found)} checks, {broken} failed")
-    if broken:
-        raise typer.Exit(1)
+    try:
+        with status("checking"):
+            count = check_predictor(name)
+    except ContractError as error:
+        errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+        raise typer.Exit(1) from None
+    console.print(
+        f"{name}: {count} forecasts are finite, and use no row after their origin", highlight=False
+    )
 
 
 def _matrix(
@@ -432,27 +382,12 @@ def _matrix(
     note(f"{file}, {out / 'fault_matrix.md'}")
 
 
-class _Failures(dict[str, str]):
-    """Reasons for missing results, by run or file; ``counts`` says of how many predictors."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.counts: dict[str, int] = {}
-
-    def add(self, unit: Unit, error: Exception) -> None:
-        """Keep a reason; the same one of several predictors on a run counts once."""
-        where = unit.log or unit.run
-        key = where if self.get(where, str(error)) == str(error) else f"{where} {unit.predictor}"
-        self[key] = str(error)
-        self.counts[key] = self.counts.get(key, 0) + 1
-
-
 def _run_all(
     settings: Settings, out: Path, jobs: int, backend: str, fresh: bool
-) -> tuple[dict[Unit, dict[str, Any]], _Failures]:
-    """Do all work under a progress bar; Ctrl-C ends it early."""
+) -> tuple[dict[Unit, dict[str, Any]], dict[Unit, str]]:
+    """Do all work under a progress bar, and return results and errors; Ctrl-C ends it early."""
     done: dict[Unit, dict[str, Any]] = {}
-    failed = _Failures()
+    failed: dict[Unit, str] = {}
     with contextlib.suppress(KeyboardInterrupt):
         work = units(settings)
         reused = {} if fresh else runner.reusable(settings, out)
@@ -468,7 +403,7 @@ def _run_all(
             bar = progress.add_task("benchmark", total=len(work))
             for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):
-                    failed.add(unit, result)
+                    failed[unit] = str(result)
                 else:
                     done[unit] = result
                 progress.advance(bar)

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.progress import TimeElapsedColumn
 
 from twin.agents.evaluation import OUTAGES, SEAS
 from twin.agents.hyperparameters import ALGORITHMS, hyperparameters
-from twin.agents.training import EVERY, Plan, Run, train
+from twin.agents.training import EVERY, Plan, train_all
 from twin.cli.common import (
     AnyCurrentOption,
     AnyWindOption,
     JobsOption,
     OptionError,
     console,
-    new_table,
     parse_list,
     parse_seeds,
     parse_world,
-    progress_bar,
     stopped,
 )
+from twin.cli.tables import print_trainings
 from twin.sim.oracle import check_options_of
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
@@ -114,33 +112,32 @@ def train_command(
     """Train agents with Stable-Baselines3.
 
     Each seed is a folder <out>/<algo>-<obs>-<seed>: policy.npz (for usv-twin evaluate),
-    curve.csv (the learning curve, on fixed episodes), tensorboard/ (tensorboard --logdir <out>),
-    run.json (all settings). After Ctrl-C or a crash the same command continues from the last
-    checkpoint, and reaches the same policy as without the stop.
+    curve.csv (the learning curve, on fixed episodes), log/ (what Stable-Baselines3 logs: CSV, and
+    for tensorboard --logdir <out> if that is installed), run.json (all settings). After Ctrl-C or a
+    crash the same command continues from the last checkpoint, and reaches the same policy as
+    without the stop.
     """
-    options: dict[str, Any] = {
-        "task": task,
-        "sea": sea,
-        "faults": faults,
-        "twin": twin,
-        "vessel": vessel,
-        "vessel_spread": vessel_spread,
-        "world": parse_world(wind_from, current),
-        "reward_weights": parse_weights(reward_weight or []),
-        "init": "" if init is None else str(init),
-    }
     values = hyperparameters(algo, hyper)
-    if steps is None:
-        steps = values["n_timesteps"]
+    steps = steps or values["n_timesteps"]
     check_options_of(twin, vessel)
     if obs is not None and entries is not None:
         raise OptionError("--obs and --entries: give one of them")
     seen = parse_list(entries, "--entries") if entries is not None else obs
-    options["every"] = min(EVERY, -(-steps // BREAKS))
-    plans = [
-        Plan(algo, seen or values.get("observation", "twin"), steps, seed, **options)
-        for seed in parse_seeds(seeds)
-    ]
+    first = Plan(
+        algo,
+        seen or values.get("observation", "twin"),
+        steps,
+        task=task,
+        sea=sea,
+        faults=faults,
+        twin=twin,
+        vessel=vessel,
+        vessel_spread=vessel_spread,
+        world=parse_world(wind_from, current),
+        reward_weights=parse_weights(reward_weight or []),
+        init="" if init is None else str(init),
+        every=min(EVERY, -(-steps // BREAKS)),
+    )
     rollout = values["n_envs"] * values.get("n_steps", 0)
     if steps < UPDATES_MIN * rollout:
         console.print(
@@ -148,29 +145,19 @@ def train_command(
             f"the last: {steps} teach little, --steps {UPDATES_MIN * rollout} more",
             highlight=False,
         )
+    plans = [dataclasses.replace(first, seed=seed) for seed in parse_seeds(seeds)]
     how = {"hyper": values, "num_threads": num_threads, "callback": callback}
-    heads = ("seed", "return", "off the path, m", "success", "minutes", "folder")
-    title = f"{plans[0].name}, {steps} decisions"
-    table = new_table(title, *heads, left=("folder",), padding=(0, 1))
+    trained = []
     try:
-        for plan, run in _trained(plans, how, out, jobs):
-            last = run.curve[-1]
-            table.add_row(
-                str(plan.seed),
-                f"{last['return']:.0f}",
-                f"{last['off_path_m']:.2f}",
-                f"{last['success']:.0%}",
-                f"{last['wall_s'] / 60.0:.1f}",
-                str(run.folder),
-            )
+        for plan, run in train_all(
+            plans, out, jobs=jobs, progress=jobs == 1 and console.is_terminal, **how
+        ):
+            trained.append((plan, run))
+            console.print(f"{run.folder}: trained", highlight=False)
     except KeyboardInterrupt:
         raise stopped(KEPT.format(out)) from None
-    console.print(table)
-    console.print(
-        f"next: usv-twin evaluate {out} (and tensorboard --logdir {out})",
-        highlight=False,
-        soft_wrap=True,
-    )
+    print_trainings(trained)
+    console.print(f"next: usv-twin evaluate {out}", highlight=False, soft_wrap=True)
 
 
 def parse_weights(texts: list[str]) -> dict[str, float]:
@@ -185,26 +172,3 @@ def parse_weights(texts: list[str]) -> dict[str, float]:
                 f"--reward-weight {text}: write the term and a number, as in cross_track=3"
             ) from None
     return weights
-
-
-def _trained(
-    plans: list[Plan], how: dict[str, Any], out: Path, jobs: int
-) -> Iterator[tuple[Plan, Run]]:
-    """Train all plans: one after the other with a bar each, or several at once."""
-    from joblib import Parallel, delayed
-
-    folders = [out / f"{plan.name}-{plan.seed}" for plan in plans]
-    if jobs == 1 or len(plans) == 1:
-        for plan, folder in zip(plans, folders, strict=True):
-            console.print(f"{folder}: {plan.steps} decisions", highlight=False)
-            yield plan, train(plan, folder, progress=console.is_terminal, **how)
-        return
-    pool = Parallel(n_jobs=jobs, return_as="generator")
-    with progress_bar(TimeElapsedColumn()) as progress:
-        bar = progress.add_task("runs", total=len(plans))
-        tasks = (
-            delayed(train)(plan, folder, **how) for plan, folder in zip(plans, folders, strict=True)
-        )
-        for plan, run in zip(plans, pool(tasks), strict=True):
-            progress.advance(bar)
-            yield plan, run

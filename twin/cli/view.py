@@ -201,7 +201,7 @@ def view_command(
 
 def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
     """Return the session of an agent by its name, in the environment of its training."""
-    from twin.cli.evaluate import agents_named, trained_with
+    from twin.agents.evaluation import agents_named, trained_with
     from twin.live.sessions.policy import PolicySession
 
     agents = agents_named(name)

@@ -1,7 +1,7 @@
 """Prior of a boat's parameters, from a population of similar boats.
 
 The files in ``twin/model/priors`` hold the dimensionless parameters of random boats, for each model
-structure and kind of boat (:mod:`twin.training.prior_population`), one boat a row. One file serves
+structure and kind of boat (``examples/priors`` makes them), one boat a row. One file serves
 boats of every size. For a class of boats (:data:`twin.particulars.DESIGNS`) the boats vary around a
 model of the class. Its coefficients have errors of 20 %, as those of any model have.
 
@@ -91,8 +91,7 @@ class Prior:
                 raise PriorError(f"{len(parameters)} parameters, table of shape {table.shape}")
         except (OSError, ValueError) as error:
             raise PriorError(
-                f"{path}: is no prior ({error}); make a new one with "
-                "twin.training.prior_population.make_prior"
+                f"{path}: is no prior ({error}); make a new one with examples/priors/population.py"
             ) from None
         return cls(about.removeprefix("# "), parameters, table[:, 0].astype(np.int64), table[:, 1:])
 

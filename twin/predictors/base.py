@@ -249,9 +249,10 @@ class Predictor(ABC):
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
     files: ClassVar[tuple[str, ...]] = ()
-    """Files that the class reads, such as weights; a folder stands for all in it. Paths count from
-    the folder of the class's module. A kept result of a benchmark is not reused once one changes.
-    A subclass names its own; those of its bases count too."""
+    """Files that the class reads, such as weights, and further modules of its own; a folder stands
+    for all in it. Paths count from the folder of the class's module. A kept result of a benchmark
+    is not reused once one of them, or the module, changes. A subclass names its own; those of its
+    bases count too."""
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     """Named groups of options, for names such as ``dsw-ukf:printed``."""
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")

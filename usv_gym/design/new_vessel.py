@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field, replace
 
 from usv_gym.design import regressions as reg
-from usv_gym.design.main_particulars import (
-    DesignError,
-    Given,
-    MainParticulars,
-    completed,
-    form_of,
-)
 from usv_gym.physics import GRAVITY, KNOT
-from usv_gym.vessel.schema import keys_of
+from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, keys_of
 from usv_gym.vessel.vessel import Vessel, course_eigenvalues
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "DesignError",
@@ -24,6 +18,14 @@ __all__ = [
     "MainParticulars",
     "design",
 ]
+
+HULLS = {
+    1: {"L/B": (1.5, 15.0), "B/d": (1.2, 20.0), "C_b": (0.2, 0.95)},
+    2: {"L/B": (3.0, 30.0), "B/d": (0.5, 10.0), "C_b": (0.1, 0.95)},
+}
+"""Bounds of one hull, and of each of two. The latter are those of Insel and Molland 1992 (L/B 7 to
+15, B/d 1.5 to 2.5, block coefficient 0.4). They are widened for small USVs with skegs or inflated
+hulls."""
 
 FROUDE = {"propeller_rudder": 0.2, "steerable_drive": 0.5, "thruster_pair": 0.3}
 """Default Froude number of the service speed."""
@@ -65,6 +67,66 @@ STABLE = 0.02
 """Required decay of drift per ship length on a straight course."""
 
 
+STABILISERS = (
+    *((part, 1.0) for part in (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)),
+    *((0.0, whole) for whole in (1.5, 2.0, 3.0, 5.0)),
+    (-0.5, 5.0),
+)
+"""Factors of N_v and N_r that are tried in turn for a stable course."""
+
+# fmt: off
+KVLCC2 = {
+    "C_1": 2.0, "x_P_prime": -0.48, "kappa": 0.5, "l_R_prime": -0.71, "x_H_prime": -0.464,
+    "x_R_prime": -0.5,
+}
+"""Coefficients of a rudder, Yasukawa and Yoshimura 2015."""
+
+KVLCC2_SIDES = {
+    "C_2_plus": 1.35, "C_2_minus": 1.35, "gamma_R_plus": 0.52, "gamma_R_minus": 0.52,
+}
+"""The same, each the mean of two sides."""
+
+BLENDERMANN = {
+    "speed boat": {
+        "kappa_wind": 1.1, "CD_t": 0.90, "CD_l_bow": 0.55, "CD_l_stern": 0.60, "delta_wind": 0.60,
+    },
+    "cargo vessel, loaded": {
+        "kappa_wind": 1.7, "CD_t": 0.85, "CD_l_bow": 0.65, "CD_l_stern": 0.55, "delta_wind": 0.40,
+    },
+}
+"""Coefficients of wind loads, Blendermann 1994."""
+# fmt: on
+
+
+class DesignError(UsvTwinError):
+    """Impossible main particulars; the message names the value and the remedy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MainParticulars:
+    """What is known of a ship, or of a catamaran, before its vessel file is written."""
+
+    name: str  # letters, digits, _ and -
+    # at the water line, m; the beam over all hulls
+    length: float
+    beam: float
+    draft: float
+    mass: float  # kg
+    kind: str = "steerable_drive"  # kind of propulsion
+    units: int | None = None  # 1 or 2; default 1 for a propeller with rudder, else 2
+    # service speed (m/s) and shaft power of all units (W); default one from the other, or both from
+    # a typical Froude number
+    speed: float | None = None
+    power: float | None = None
+    length_overall: float | None = None  # m; default 1.05 length
+    water_density: float | None = None  # kg/m3; default 1025, sea water
+    hulls: int = 1  # 2 of a catamaran
+    # of a catamaran, m: beam of each hull at the water line, and distance of their centre lines;
+    # default of the latter: beam less hull_beam
+    hull_beam: float | None = None
+    spacing: float | None = None
+
+
 @dataclass(frozen=True)
 class Draft:
     """A first vessel file: its TOML, its vessel, and notes on values out of range or limited."""
@@ -80,146 +142,154 @@ class _Entry:
 
     value: float
     source: str
-    guess: bool = True
+    guess: bool
 
 
-Tables = dict[str, dict[str, _Entry]]
+@dataclass
+class _Work:
+    """A draft at work: what is known without gaps, and the numbers found so far."""
 
-Curve = dict[str, list[float]]
+    known: MainParticulars
+    assumed: frozenset[str]
+    """Those of ``known`` that are defaults."""
+    form: reg.Form
+    """Of the hull, or of each of two."""
+    length_overall: float
+    units: int
+    hull_beam: float
+    spacing: float
+    service: float = 0.0
+    """Service speed, m/s."""
+    power: float = 0.0
+    """Shaft power, W."""
+    entries: dict[str, _Entry] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def put(self, key: str, value: float, source: str, guess: bool = True) -> None:
+        """Write a number with its source."""
+        self.entries[key] = _Entry(value, source, guess)
+
+    def put_known(self, key: str, otherwise: str = "") -> None:
+        """Write a particular, marked as an estimate if it is a default."""
+        guess = key in self.assumed
+        self.put(key, getattr(self.known, key), otherwise if guess else "given", guess)
+
+    def get(self, key: str) -> float:
+        """Return a number that was written."""
+        return self.entries[key].value
+
+    def limited(self, value: float, low: float, high: float, what: str) -> float:
+        """Return a value limited to its bounds, and note it if it was outside."""
+        inside = min(max(value, low), high)
+        if inside != value:
+            self.notes.append(f"{what} is {value:.3g} by its regression, limited to {inside:.3g}")
+        return inside
 
 
 def design(known: MainParticulars) -> Draft:
     """Return a first vessel file for one hull or two; DesignError names value and remedy."""
-    given = completed(known)
-    form = form_of(given)
-    notes: list[str] = []
-    service, power = _speed(given, form, notes)
-    particulars = _particulars(given, form, notes)
-    tables = {
-        "particulars": particulars,
-        "seakeeping": _seakeeping(form, particulars, notes),
-        "hull": _hull(given, form, particulars, notes),
-        "propulsion": _propulsion(given, form, service, power, notes),
-        "wind": _wind(given),
+    work = _complete(known)
+    _set_speed(work)
+    _particulars(work)
+    _seakeeping(work)
+    _hull(work)
+    _propulsion(work)
+    _wind(work)
+    vessel = _make_stable(work)
+    return Draft(_toml(work), vessel, tuple(dict.fromkeys(work.notes)))
+
+
+def _complete(known: MainParticulars) -> _Work:
+    """Check the particulars, and fill their gaps."""
+    if known.hulls not in (1, 2):
+        raise DesignError(f"hulls = {known.hulls}: must be 1, or 2 of a catamaran")
+    two = known.hulls == 2
+    if not two and (known.hull_beam, known.spacing) != (None, None):
+        raise DesignError(
+            "hull_beam and spacing: are of a catamaran only; add hulls = 2 (--hulls 2)"
+        )
+    if two and known.hull_beam is None:
+        raise DesignError(
+            "hull_beam is missing: give the beam of each hull of the catamaran at the water line "
+            "(--hull-beam)"
+        )
+    hull_beam = known.beam if known.hull_beam is None else known.hull_beam
+    defaults: dict[str, float] = {
+        "units": 1 if known.kind == "propeller_rudder" else 2,
+        "length_overall": 1.05 * known.length,
+        "water_density": 1025.0,
+        "hull_beam": hull_beam,
+        "spacing": known.beam - hull_beam,
     }
-    curve = _curve(form, service)
-    vessel = _make_stable(given, tables, curve, service, notes)
-    head = _head(given, service, power)
-    return Draft(_toml(given, head, tables, curve), vessel, tuple(dict.fromkeys(notes)))
+    assumed = {key: value for key, value in defaults.items() if getattr(known, key) is None}
+    known = replace(known, **assumed)  # type: ignore[arg-type]
+    v = {key: value for key, value in vars(known).items() if isinstance(value, float | int)}
+    for key, value in v.items():
+        free = key in ("hulls", "units") or (key == "spacing" and not two)
+        if not free and not (math.isfinite(value) and value > 0.0):
+            raise DesignError(f"{key} = {value:g}: must be a finite number above 0")
+    box = known.hulls * v["water_density"] * v["length"] * v["hull_beam"] * v["draft"]
+    form = reg.Form(
+        length=known.length,
+        beam=hull_beam,
+        draft=known.draft,
+        block_coefficient=float(f"{known.mass / box:.5g}"),
+        water_density=v["water_density"],
+        hulls=known.hulls,
+        spacing=v["spacing"] if two else 0.0,
+    )
+    what = "each hull of a catamaran" if two else "one hull"
+    hint = "" if two else "; a catamaran has --hulls 2 --hull-beam M --spacing M"
+    bounds, ratios = HULLS[known.hulls], form.ratios
+    units, apart, overall = v["units"], v["spacing"], v["length_overall"]
+    rules = [
+        (
+            re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", known.name),
+            f"name = {known.name!r}: use letters, digits, _ and -",
+        ),
+        (
+            known.kind in KIND_SCHEMA,
+            f"kind = {known.kind!r}: must be one of {', '.join(KIND_SCHEMA)}",
+        ),
+        (
+            units == 2 or (units == 1 and known.kind != "thruster_pair"),
+            f"units = {units}: must be 1 or 2, and 2 of a thruster_pair",
+        ),
+        (
+            not two or hull_beam < apart <= 1.001 * known.beam - hull_beam,
+            f"hull_beam = {hull_beam:g} m, spacing = {apart:g} m: the hulls must not touch, and "
+            f"must lie within the beam of {known.beam:g} m",
+        ),
+        (
+            bounds["C_b"][0] <= ratios["C_b"] <= bounds["C_b"][1],
+            f"mass = {known.mass:g} kg: a box of length, beam and draft displaces {box:.4g} kg, "
+            f"which makes a block coefficient of {ratios['C_b']:.3g}; {what} has "
+            "{:g} to {:g}".format(*bounds["C_b"])
+            + hint,
+        ),
+        *(
+            (
+                bounds[key][0] <= ratios[key] <= bounds[key][1],
+                f"{key} = {ratios[key]:.3g}: length, beam and draft of {what} make "
+                "{:g} to {:g}".format(*bounds[key])
+                + hint,
+            )
+            for key in ("L/B", "B/d")
+        ),
+        (
+            overall >= known.length,
+            f"length_overall = {overall:g} m: must not be below the length of {known.length:g} m",
+        ),
+    ]
+    for kept, message in rules:
+        if not kept:
+            raise DesignError(message)
+    return _Work(known, frozenset(assumed), form, overall, int(units), hull_beam, form.spacing)
 
 
 def _source(estimate: reg.Estimate) -> str:
     """Return author and year, with a remark if the hull is out of range."""
     return estimate.source + ("; out of its range" if estimate.notes else "")
-
-
-def _limited(value: float, low: float, high: float, what: str, notes: list[str]) -> float:
-    """Return a value limited to its bounds, and add a note if it was outside."""
-    inside = min(max(value, low), high)
-    if inside != value:
-        notes.append(f"{what} is {value:.3g} by its regression, limited to {inside:.3g}")
-    return inside
-
-
-def _givened(given: Given, key: str, otherwise: str) -> _Entry:
-    """Return the entry of a value, marked as an estimate if it is a default."""
-    guess = key in given.assumed
-    return _Entry(getattr(given, key), otherwise if guess else "given", guess)
-
-
-def _particulars(given: Given, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
-    mass, stated, two = given.mass, "given", given.hulls == 2
-    I_xx, I_yy = mass * (0.38 * given.beam) ** 2, mass * (0.25 * given.length) ** 2
-    # two hulls and a deck are flat and wide: perpendicular axis theorem
-    I_zz = I_xx + I_yy if two else I_yy
-    surge, added = reg.soding(form), reg.zhou(form)
-    notes += [*surge.notes, *added.notes]
-    small = form.length / form.beam < 4.5
-    m_x = _limited(surge["m_x"] / mass, 0.02, 0.25, "m_x over the mass", notes) * mass
-    most = 4.0 if two else 1.5
-    m_y = _limited(added["m_y"] / mass, 0.3, most, "m_y over the mass", notes) * mass
-    # in a turn one hull moves ahead and the other astern
-    turning = added["J_zz"] + m_x * (0.5 * form.spacing) ** 2
-    J_zz = _limited(turning / I_zz, 0.2, most, "J_zz over I_zz", notes) * I_zz
-    KG = _Entry((1.5 if small else 0.9) * given.draft, "1.5 of the draft; ships 0.9")
-    if two:
-        KG = _Entry(given.draft + 0.1 * given.length, "0.1 of the length above water, as the Otter")
-    return {
-        "length_overall": _givened(given, "length_overall", "1.05 of the length"),
-        "length_waterline": _Entry(given.length, stated, False),
-        "beam": _Entry(given.beam, stated, False),
-        "draft": _Entry(given.draft, stated, False),
-        **(_hulls_of(given) if two else {}),
-        "block_coefficient": _Entry(
-            form.block_coefficient * (given.hulls * given.hull_beam / given.beam if two else 1.0),
-            "from mass and dimensions" + (" of the box over both hulls" if two else ""),
-            False,
-        ),
-        "water_density": _givened(given, "water_density", "sea water"),
-        "mass": _Entry(mass, stated, False),
-        "x_G": _Entry(0.0, "origin at the centre of gravity", False),
-        "KG": KG,
-        "I_xx": _Entry(I_xx, "gyradius 0.38 of the beam"),
-        "I_yy": _Entry(I_yy, "gyradius 0.25 of the length"),
-        "I_zz": _Entry(
-            I_zz, "I_xx + I_yy, flat and wide" if two else "gyradius 0.25 of the length"
-        ),
-        "m_x": _Entry(m_x, _source(surge)),
-        "m_y": _Entry(m_y, _source(added)),
-        "J_zz": _Entry(J_zz, _source(added)),
-    }
-
-
-def _hulls_of(given: Given) -> dict[str, _Entry]:
-    """Return the entries that make a vessel a catamaran."""
-    spacing = _givened(given, "spacing", "beam less that of a hull")
-    return {"hull_beam": _Entry(given.hull_beam, "given", False), "spacing": spacing}
-
-
-def _seakeeping(
-    form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
-) -> dict[str, _Entry]:
-    C_b, d, two = form.block_coefficient, form.draft, form.hulls == 2
-    boat = form.length / form.beam < 4.5
-    plane = max((1.0 + 2.0 * C_b) / 3.0, 0.75 if two else 0.78 if boat else 0.65)
-    area = form.hulls * plane * form.length * form.beam
-    water = reg.hydrostatics(form, plane)
-    notes += water.notes
-    KG = particulars["KG"].value
-    metacentre = water["KB"] + water["BM_T"]
-    # a narrow ship model with less than a tenth capsizes in waves of its size
-    least = (0.1 if boat or two or form.length < 5.0 else 0.05) * (form.beam + form.spacing)
-    if metacentre - KG < least:
-        KG = max(metacentre - least, 0.4 * d)
-        notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
-        particulars["KG"] = _Entry(KG, "as low as stability requires")
-    GM_T = max(metacentre - KG, 0.03 * form.beam)  # two hulls have far more
-    GM_L = water["KB"] + water["BM_L"] - KG
-    mass = form.mass
-    I_xx, I_yy = particulars["I_xx"].value, particulars["I_yy"].value
-    jensen = "period of Jensen 2004, 2 pi sqrt(2 d / g)"
-    added = {
-        "m_z": _Entry(2.0 * form.water_density * d * area - mass, jensen),
-        "J_xx": _Entry(0.2 * I_xx, "0.2 of I_xx, Fossen's Otter"),
-        "J_yy": _Entry(max(mass * GM_L * 2.0 * d - I_yy, 0.4 * I_yy), jensen),
-    }
-    if two:  # Jensen's periods are those of ships
-        strips = reg.heave_of_two_hulls(form, plane)
-        added = {key: _Entry(strips[key], _source(strips)) for key in added}
-    shape = "Schneekluth; Otter 0.75" if two else "Schneekluth; boats 0.78"
-    pitch = reg.pitch_damping(form)
-    roll = _Entry(0.18 if boat else 0.08, "hard chines 0.18, ships 0.08")
-    return {
-        "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} ({shape})"),
-        "x_F": _Entry(0.0, "centre of the water plane at that of gravity"),
-        "GM_T": _Entry(GM_T, f"KB + BM - KG, {_source(water)}"),
-        "GM_L": _Entry(GM_L, f"KB + BM - KG, {_source(water)}"),
-        **added,
-        "zeta_heave": _Entry(0.3, "Fossen's Otter"),
-        "zeta_roll": _Entry(0.2, "Fossen's Otter") if two else roll,
-        "zeta_pitch": _Entry(pitch["zeta_pitch"], f"radiated waves, {_source(pitch)}"),
-        "z_H": _Entry(0.5 * d, "half the draft"),
-    }
 
 
 def _resistance(form: reg.Form, speed: float) -> float:
@@ -246,18 +316,18 @@ def _resistance(form: reg.Form, speed: float) -> float:
     )
 
 
-def _speed(given: Given, form: reg.Form, notes: list[str]) -> tuple[float, float]:
-    """Return service speed (m/s) and shaft power (W)."""
+def _set_speed(work: _Work) -> None:
+    """Set service speed and shaft power."""
+    form, speed, power = work.form, work.known.speed, work.known.power
     unit = math.sqrt(GRAVITY * form.length)
-    speed = given.speed
-    if speed is None and given.power is not None:
+    if speed is None and power is not None:
         low, high = 0.02 * unit, 2.5 * unit
         for _ in range(60):
             speed = 0.5 * (low + high)
-            enough = _resistance(form, speed) * speed <= EFFICIENCY * given.power
+            enough = _resistance(form, speed) * speed <= EFFICIENCY * power
             low, high = (speed, high) if enough else (low, speed)
     if speed is None:
-        speed = FROUDE[given.kind] * unit
+        speed = FROUDE[work.known.kind] * unit
     froude = speed / unit
     if not 0.02 <= froude <= 2.5:
         raise DesignError(
@@ -265,44 +335,117 @@ def _speed(given: Given, form: reg.Form, notes: list[str]) -> tuple[float, float
             "holds from 0.02 to 2.5"
         )
     if froude > 0.6:
-        notes.append(f"Froude number {froude:.2f}: planing is in the resistance curve only")
+        work.notes.append(f"Froude number {froude:.2f}: planing is in the resistance curve only")
     needed = _resistance(form, speed) * speed / EFFICIENCY
-    if given.power is not None and not 0.7 < given.power / needed < 2.0:
-        notes.append(
-            f"{speed / KNOT:.3g} kn need about {needed / 1e3:.3g} kW, not {given.power / 1e3:.3g}"
+    if power is not None and not 0.7 < power / needed < 2.0:
+        work.notes.append(
+            f"{speed / KNOT:.3g} kn need about {needed / 1e3:.3g} kW, not {power / 1e3:.3g}"
         )
-    return speed, needed if given.power is None else given.power
+    work.service, work.power = speed, needed if power is None else power
 
 
-def _curve(form: reg.Form, service: float) -> Curve:
-    """Return the points of the resistance curve, m/s and N."""
-    speeds = [share * service for share in SHARES]
-    return {"speed": speeds, "force": [_resistance(form, speed) for speed in speeds]}
+def _particulars(work: _Work) -> None:
+    """Write the table [particulars]."""
+    known, form, two = work.known, work.form, work.known.hulls == 2
+    mass = known.mass
+    I_xx, I_yy = mass * (0.38 * known.beam) ** 2, mass * (0.25 * known.length) ** 2
+    # two hulls and a deck are flat and wide: perpendicular axis theorem
+    I_zz = I_xx + I_yy if two else I_yy
+    surge, added = reg.soding(form), reg.zhou(form)
+    work.notes += [*surge.notes, *added.notes]
+    small = form.length / form.beam < 4.5
+    m_x = work.limited(surge["m_x"] / mass, 0.02, 0.25, "m_x over the mass") * mass
+    most = 4.0 if two else 1.5
+    m_y = work.limited(added["m_y"] / mass, 0.3, most, "m_y over the mass") * mass
+    # in a turn one hull moves ahead and the other astern
+    turning = added["J_zz"] + m_x * (0.5 * form.spacing) ** 2
+    J_zz = work.limited(turning / I_zz, 0.2, most, "J_zz over I_zz") * I_zz
+    work.put_known("length_overall", "1.05 of the length")
+    work.put("length_waterline", known.length, "given", guess=False)
+    for key in ("beam", "draft", "mass"):
+        work.put_known(key)
+    if two:
+        work.put_known("hull_beam")
+        work.put_known("spacing", "beam less that of a hull")
+    block, box = form.block_coefficient, " of the box over both hulls" if two else ""
+    share = known.hulls * work.hull_beam / known.beam if two else 1.0
+    work.put("block_coefficient", block * share, f"from mass and dimensions{box}", guess=False)
+    work.put_known("water_density", "sea water")
+    work.put("x_G", 0.0, "origin at the centre of gravity", guess=False)
+    if two:
+        KG = known.draft + 0.1 * known.length
+        work.put("KG", KG, "0.1 of the length above water, as the Otter")
+    else:
+        work.put("KG", (1.5 if small else 0.9) * known.draft, "1.5 of the draft; ships 0.9")
+    work.put("I_xx", I_xx, "gyradius 0.38 of the beam")
+    work.put("I_yy", I_yy, "gyradius 0.25 of the length")
+    work.put("I_zz", I_zz, "I_xx + I_yy, flat and wide" if two else "gyradius 0.25 of the length")
+    work.put("m_x", m_x, _source(surge))
+    work.put("m_y", m_y, _source(added))
+    work.put("J_zz", J_zz, _source(added))
 
 
-def _hull(
-    given: Given, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
-) -> dict[str, _Entry]:
+def _seakeeping(work: _Work) -> None:
+    """Write the table [seakeeping]; KG is lowered where stability requires it."""
+    form, two = work.form, work.form.hulls == 2
+    C_b, d, mass = form.block_coefficient, form.draft, form.mass
+    boat = form.length / form.beam < 4.5
+    plane = max((1.0 + 2.0 * C_b) / 3.0, 0.75 if two else 0.78 if boat else 0.65)
+    area = form.hulls * plane * form.length * form.beam
+    water = reg.hydrostatics(form, plane)
+    work.notes += water.notes
+    KG = work.get("KG")
+    metacentre = water["KB"] + water["BM_T"]
+    # a narrow ship model with less than a tenth capsizes in waves of its size
+    least = (0.1 if boat or two or form.length < 5.0 else 0.05) * (form.beam + form.spacing)
+    if metacentre - KG < least:
+        KG = max(metacentre - least, 0.4 * d)
+        work.notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
+        work.put("KG", KG, "as low as stability requires")
+    GM_T = max(metacentre - KG, 0.03 * form.beam)  # two hulls have far more
+    GM_L = water["KB"] + water["BM_L"] - KG
+    I_xx, I_yy = work.get("I_xx"), work.get("I_yy")
+    shape = "Schneekluth; Otter 0.75" if two else "Schneekluth; boats 0.78"
+    work.put("A_wp", area, f"water-plane coefficient {plane:.2f} ({shape})")
+    work.put("x_F", 0.0, "centre of the water plane at that of gravity")
+    work.put("GM_T", GM_T, f"KB + BM - KG, {_source(water)}")
+    work.put("GM_L", GM_L, f"KB + BM - KG, {_source(water)}")
+    if two:  # Jensen's periods are those of ships
+        strips = reg.heave_of_two_hulls(form, plane)
+        for key in ("m_z", "J_xx", "J_yy"):
+            work.put(key, strips[key], _source(strips))
+    else:
+        jensen = "period of Jensen 2004, 2 pi sqrt(2 d / g)"
+        work.put("m_z", 2.0 * form.water_density * d * area - mass, jensen)
+        work.put("J_xx", 0.2 * I_xx, "0.2 of I_xx, Fossen's Otter")
+        work.put("J_yy", max(mass * GM_L * 2.0 * d - I_yy, 0.4 * I_yy), jensen)
+    pitch = reg.pitch_damping(form)
+    work.put("zeta_heave", 0.3, "Fossen's Otter")
+    if two:
+        work.put("zeta_roll", 0.2, "Fossen's Otter")
+    else:
+        work.put("zeta_roll", 0.18 if boat else 0.08, "hard chines 0.18, ships 0.08")
+    work.put("zeta_pitch", pitch["zeta_pitch"], f"radiated waves, {_source(pitch)}")
+    work.put("z_H", 0.5 * d, "half the draft")
+
+
+def _hull(work: _Work) -> None:
+    """Write the table [hull]."""
+    form = work.form
     scale = 0.5 * form.water_density * form.length**2 * form.draft
-    m_x, m_y = particulars["m_x"].value / scale, particulars["m_y"].value / scale
-    estimate = reg.yoshimura(form, m_x, m_y)
-    whole = given.kind == "propeller_rudder" and given.hulls == 1  # that polynomial is of one hull
-    if not estimate.notes and whole:
-        return {key: _Entry(value, estimate.source) for key, value in estimate.values.items()}
-    if whole:
-        notes += estimate.notes
+    m_x, m_y = work.get("m_x") / scale, work.get("m_y") / scale
+    if work.known.kind == "propeller_rudder" and form.hulls == 1:  # that polynomial is of one hull
+        whole = reg.yoshimura(form, m_x, m_y)
+        if not whole.notes:
+            for key, value in whole.values.items():
+                work.put(key, value, whole.source)
+            return
+        work.notes += whole.notes
     linear, drag = reg.kijima(form, m_x), reg.cross_flow(form)
-    notes += linear.notes
-    keys = ("Y_v", "Y_r", "N_v", "N_r")
-    return {
-        **{key: _Entry(linear[key], _source(linear)) for key in keys},
-        "C_d_crossflow": _Entry(drag["C_d_crossflow"], _source(drag)),
-    }
-
-
-def _has_pods(given: Given) -> bool:
-    """Return whether it is a catamaran that steers with a fixed thruster below each hull."""
-    return given.hulls == 2 and given.kind == "thruster_pair"
+    work.notes += linear.notes
+    for key in ("Y_v", "Y_r", "N_v", "N_r"):
+        work.put(key, linear[key], _source(linear))
+    work.put("C_d_crossflow", drag["C_d_crossflow"], _source(drag))
 
 
 def _advance_ratio(coefficients: tuple[float, float, float], load: float) -> float:
@@ -312,229 +455,203 @@ def _advance_ratio(coefficients: tuple[float, float, float], load: float) -> flo
     return (-k_1 - math.sqrt(k_1 * k_1 - 4.0 * a * k_0)) / (2.0 * a)
 
 
-def _pod_diameter(
-    given: Given, form: reg.Form, thrust: float, inflow: float, least: float
-) -> float:
+def _pod_diameter(work: _Work, thrust: float, inflow: float, least: float) -> float:
     """Return the diameter of a catamaran's thrusters, m; ``thrust`` is that of each in service.
 
     It is smaller where the boat would pull more than :data:`PULL` of its weight at rest.
     """
-    diameter = max(POD * given.hull_beam, least)
+    density = work.form.water_density
+    diameter = max(POD * work.hull_beam, least)
     while diameter > least:
-        load = thrust / (form.water_density * diameter**2 * inflow**2)
-        J = _advance_ratio(K_T_POD, load)
-        pull = 2.0 * form.water_density * K_T_POD[0] * (diameter * inflow / J) ** 2
-        if pull <= PULL * given.mass * GRAVITY:
+        J = _advance_ratio(K_T_POD, thrust / (density * diameter**2 * inflow**2))
+        pull = 2.0 * density * K_T_POD[0] * (diameter * inflow / J) ** 2
+        if pull <= PULL * work.known.mass * GRAVITY:
             break
         diameter = max(0.95 * diameter, least)
     return diameter
 
 
-def _propulsion(
-    given: Given, form: reg.Form, service: float, power: float, notes: list[str]
-) -> dict[str, _Entry]:
+def _propulsion(work: _Work) -> None:
+    """Write the table [propulsion]."""
+    form, kind, units, service = work.form, work.known.kind, work.units, work.service
     C_b, d, L = form.block_coefficient, form.draft, form.length
-    rudder = given.kind == "propeller_rudder"
+    rudder, pair, two = kind == "propeller_rudder", kind == "thruster_pair", form.hulls == 2
+    pods = two and pair  # a fixed thruster below each hull of a catamaran
     wake = min(max(0.5 * C_b - 0.05, 0.05), 0.4) if rudder else 0.02
     deduction = 0.6 * wake if rudder else 0.03
     inflow = (1.0 - wake) * service
-    thrust = _resistance(form, service) / (1.0 - deduction) / given.units
+    thrust = _resistance(form, service) / (1.0 - deduction) / units
     loaded = math.sqrt(8.0 * thrust / (2.5 * math.pi * form.water_density * inflow**2))
-    pods = _has_pods(given)
     if pods:
-        diameter = _pod_diameter(given, form, thrust, inflow, loaded)
+        diameter = _pod_diameter(work, thrust, inflow, loaded)
     else:
-        diameter = max({1: 0.65, 2: 0.5}[given.units] * d, loaded)
-    if diameter > d and not pods:
-        notes.append(f"the propeller needs {diameter:.3g} m, more than the draft of {d:.3g} m")
-    k_0, k_1, k_2 = K_T_POD if pods else K_T
-    J = _advance_ratio((k_0, k_1, k_2), thrust / (form.water_density * diameter**2 * inflow**2))
+        diameter = max({1: 0.65, 2: 0.5}[units] * d, loaded)
+        if diameter > d:
+            text = f"the propeller needs {diameter:.3g} m, more than the draft of {d:.3g} m"
+            work.notes.append(text)
+    curve = K_T_POD if pods else K_T
+    J = _advance_ratio(curve, thrust / (form.water_density * diameter**2 * inflow**2))
     n = inflow / (J * diameter)
     needed = _resistance(form, service) * service / EFFICIENCY
-    reserve = min(max((power / needed) ** (1.0 / 3.0), 1.15), 1.5)
+    reserve = min(max((work.power / needed) ** (1.0 / 3.0), 1.15), 1.5)
     top = reserve * n
-    slow = 0.5 * top if given.kind == "thruster_pair" else 0.8 * n
-    aside = {"thruster_pair": 0.35}.get(given.kind, 0.25) if given.units == 2 else 0.0
-    across = _Entry(aside * given.beam, "thruster pairs 0.35 of the beam, else 0.25; one: 0")
-    if given.hulls == 2 and given.units == 2:
-        across = _Entry(0.5 * given.spacing, "behind each hull")
-    fixed = "fixed propeller, pitch over diameter near 1"
-    deep, size = _Entry(0.7 * d if rudder else d, "behind the hull, or at the keel"), "draft"
+    lag = min(max(0.25 * math.sqrt(L), 0.1), 5.0)
+    work.put_known("units", "typical for the kind")
+    size = "hull's beam" if pods else "draft"
+    work.put("propeller_diameter", diameter, f"a share of the {size}, or by its thrust")
+    stopped = ", with the drag of a stopped one" if pods else ""
+    for key, value in zip(("k_0", "k_1", "k_2"), curve, strict=True):
+        work.put(key, value, f"fixed propeller, pitch over diameter near 1{stopped}")
+    work.put("astern", 0.7, "in reverse: 0.6 to 0.8")
+    work.put("wake_fraction", wake, "Taylor, one screw" if rudder else "open drives")
+    work.put("thrust_deduction", deduction, "0.6 of the wake" if rudder else "open drives")
+    if two and units == 2:
+        work.put("y_P", 0.5 * work.spacing, "behind each hull")
+    else:
+        aside = (0.35 if pair else 0.25) if units == 2 else 0.0
+        source = "thruster pairs 0.35 of the beam, else 0.25; one: 0"
+        work.put("y_P", aside * work.known.beam, source)
     if pods:
-        fixed += ", with the drag of a stopped one"
-        deep, size = _Entry(max(d, 0.7 * diameter), "below the hulls, under water"), "hull's beam"
-    entries = {
-        "units": _givened(given, "units", "typical for the kind"),
-        "propeller_diameter": _Entry(diameter, f"a share of the {size}, or by its thrust"),
-        "k_0": _Entry(k_0, fixed),
-        "k_1": _Entry(k_1, fixed),
-        "k_2": _Entry(k_2, fixed),
-        "astern": _Entry(0.7, "in reverse: 0.6 to 0.8"),
-        "wake_fraction": _Entry(wake, "Taylor, one screw" if rudder else "open drives"),
-        "thrust_deduction": _Entry(deduction, "0.6 of the wake" if rudder else "open drives"),
-        "y_P": across,
-        "z_P": deep,
-        "shaft_lag": _Entry(min(max(0.25 * math.sqrt(L), 0.1), 5.0), "engines of that size"),
-        "shaft_rate": _Entry(top / min(max(0.25 * math.sqrt(L), 0.1), 5.0), "from the lag"),
-        "shaft_speed_max": _Entry(top, f"{reserve:.2f} of service"),
-        "shaft_speed_service": _Entry(n, f"{service / KNOT:.3g} kn"),
-        "shaft_speed_manoeuvring": _Entry(slow, "0.8 of service; thruster pair: half of max"),
-    }
-    if given.kind == "thruster_pair":
-        return entries
-    entries |= {
-        "steer_lag": _Entry(min(max(0.04 * math.sqrt(L), 0.1), 1.0), "steering gear of that size"),
-        "steer_rate": _Entry(
-            math.radians(min(max(41.8 / math.sqrt(L), 2.32), 20.0)),
-            "KVLCC2's 2.34 deg/s, to scale",
-        ),
-        "steer_max": _Entry(math.radians(35.0 if rudder else 30.0), "typical stop"),
-    }
-    if not rudder:
-        return entries | {
-            "A_R": _Entry(0.015 * L * d, "as the 7.5 m boat's leg, over length and draft"),
-            "f_alpha": _Entry(2.2, "low aspect ratio"),
-            "x_P": _Entry(-0.45 * L, "at the transom"),
-            "slipstream": _Entry(0.175, "as the 7.5 m boat"),
-        }
+        work.put("z_P", max(d, 0.7 * diameter), "below the hulls, under water")
+    else:
+        work.put("z_P", 0.7 * d if rudder else d, "behind the hull, or at the keel")
+    work.put("shaft_lag", lag, "engines of that size")
+    work.put("shaft_rate", top / lag, "from the lag")
+    work.put("shaft_speed_max", top, f"{reserve:.2f} of service")
+    work.put("shaft_speed_service", n, f"{service / KNOT:.3g} kn")
+    slow = 0.5 * top if pair else 0.8 * n
+    work.put("shaft_speed_manoeuvring", slow, "0.8 of service; thruster pair: half of max")
+    if pair:
+        return
+    work.put("steer_lag", min(max(0.04 * math.sqrt(L), 0.1), 1.0), "steering gear of that size")
+    rate = math.radians(min(max(41.8 / math.sqrt(L), 2.32), 20.0))
+    work.put("steer_rate", rate, "KVLCC2's 2.34 deg/s, to scale")
+    work.put("steer_max", math.radians(35.0 if rudder else 30.0), "typical stop")
+    if rudder:
+        _rudder(work, diameter)
+    else:
+        work.put("A_R", 0.015 * L * d, "as the 7.5 m boat's leg, over length and draft")
+        work.put("f_alpha", 2.2, "low aspect ratio")
+        work.put("x_P", -0.45 * L, "at the transom")
+        work.put("slipstream", 0.175, "as the 7.5 m boat")
+
+
+def _rudder(work: _Work, diameter: float) -> None:
+    """Write the entries of a rudder behind a propeller of a diameter, m."""
+    form = work.form
     estimate = reg.kijima_rudder(form)
-    notes += estimate.notes
-    area = L * d / 100.0 * (1.0 + 25.0 * (form.beam / L) ** 2) / given.units
-    height = min(max(1.3 * diameter, 0.5 * d), 0.8 * d)
+    work.notes += estimate.notes
+    area = form.length * form.draft / 100.0 * (1.0 + 25.0 * (form.beam / form.length) ** 2)
+    area /= work.units
+    height = min(max(1.3 * diameter, 0.5 * form.draft), 0.8 * form.draft)
     aspect = height * height / area
-    inside = {
-        "a_H": _limited(estimate["a_H"], 0.05, 0.45, "a_H", notes),
-        "t_R": _limited(estimate["t_R"], 0.15, 0.4, "t_R", notes),
-        "epsilon": _limited(estimate["epsilon"], 0.85, 1.25, "epsilon", notes),
-    }
-    kvlcc2 = "as KVLCC2, Yasukawa and Yoshimura 2015"
-    return entries | {
-        "A_R": _Entry(area, "DNV's least rudder area"),
-        "f_alpha": _Entry(6.13 * aspect / (aspect + 2.25), "Fujii"),
-        "rudder_height": _Entry(height, "1.3 propellers, within the draft"),
-        **{key: _Entry(value, _source(estimate)) for key, value in inside.items()},
-        "C_1": _Entry(2.0, kvlcc2),
-        "C_2_plus": _Entry(1.35, "mean of KVLCC2's two sides"),
-        "C_2_minus": _Entry(1.35, "mean of KVLCC2's two sides"),
-        "x_P_prime": _Entry(-0.48, kvlcc2),
-        "kappa": _Entry(0.5, kvlcc2),
-        "l_R_prime": _Entry(-0.71, kvlcc2),
-        "gamma_R_plus": _Entry(0.52, "mean of KVLCC2's two sides"),
-        "gamma_R_minus": _Entry(0.52, "mean of KVLCC2's two sides"),
-        "x_H_prime": _Entry(-0.464, kvlcc2),
-        "x_R_prime": _Entry(-0.5, kvlcc2),
-    }
+    work.put("A_R", area, "DNV's least rudder area")
+    work.put("f_alpha", 6.13 * aspect / (aspect + 2.25), "Fujii")
+    work.put("rudder_height", height, "1.3 propellers, within the draft")
+    for key, low, high in (("a_H", 0.05, 0.45), ("t_R", 0.15, 0.4), ("epsilon", 0.85, 1.25)):
+        work.put(key, work.limited(estimate[key], low, high, key), _source(estimate))
+    for key, value in KVLCC2.items():
+        work.put(key, value, "as KVLCC2, Yasukawa and Yoshimura 2015")
+    for key, value in KVLCC2_SIDES.items():
+        work.put(key, value, "mean of KVLCC2's two sides")
 
 
-def _wind(given: Given) -> dict[str, _Entry]:
-    L = given.length_overall
+def _wind(work: _Work) -> None:
+    """Write the table [wind]."""
+    L = work.length_overall
     height = 0.16 * L if L < 10.0 else 1.6 * (L / 10.0) ** 0.6
-    boat = L < 30.0
-    kappa, side, bow, stern, delta = (
-        (1.1, 0.90, 0.55, 0.60, 0.60) if boat else (1.7, 0.85, 0.65, 0.55, 0.40)
-    )
-    table = f"Blendermann 1994, {'speed boat' if boat else 'cargo vessel, loaded'}"
     shape = "between the 7.5 m boat and KVLCC2"
-    return {
-        "A_F": _Entry(1.2 * given.beam * height, shape),
-        "A_L": _Entry(L * height, shape),
-        "s_L": _Entry(0.0, "lateral centre amidships"),
-        "s_H": _Entry(0.55 * height, shape),
-        "kappa_wind": _Entry(kappa, table),
-        "CD_t": _Entry(side, table),
-        "CD_l_bow": _Entry(bow, table),
-        "CD_l_stern": _Entry(stern, table),
-        "delta_wind": _Entry(delta, table),
-    }
+    work.put("A_F", 1.2 * work.known.beam * height, shape)
+    work.put("A_L", L * height, shape)
+    work.put("s_L", 0.0, "lateral centre amidships")
+    work.put("s_H", 0.55 * height, shape)
+    kind = "speed boat" if L < 30.0 else "cargo vessel, loaded"
+    for key, value in BLENDERMANN[kind].items():
+        work.put(key, value, f"Blendermann 1994, {kind}")
 
 
-def _vessel(given: Given, tables: Tables, curve: Curve) -> Vessel:
+def _curve(work: _Work) -> dict[str, list[float]]:
+    """Return the points of the resistance curve, m/s and N."""
+    speeds = [share * work.service for share in SHARES]
+    forces = [_resistance(work.form, speed) for speed in speeds]
+    return {"speed": list(map(_round, speeds)), "force": list(map(_round, forces))}
+
+
+def _vessel(work: _Work) -> Vessel:
     """Return the vessel in the file."""
-    entries = {key: entry for table in tables.values() for key, entry in table.items()}
+    curve, entries = _curve(work), work.entries.items()
+    guesses = [key for key, entry in entries if entry.guess]
     return Vessel(
-        name=given.name,
-        title=_title(given),
-        kind=given.kind,
-        values={key: _round(entry.value) for key, entry in entries.items()},
-        resistance_speed=tuple(map(_round, curve["speed"])),
-        resistance_force=tuple(map(_round, curve["force"])),
-        guesses=frozenset(
-            ["resistance_speed", "resistance_force"]
-            + [key for key, entry in entries.items() if entry.guess]
-        ),
+        name=work.known.name,
+        title=_title(work),
+        kind=work.known.kind,
+        values={key: _round(entry.value) for key, entry in entries},
+        resistance_speed=tuple(curve["speed"]),
+        resistance_force=tuple(curve["force"]),
+        guesses=frozenset(["resistance_speed", "resistance_force", *guesses]),
     )
 
 
-def _make_stable(
-    given: Given, tables: Tables, curve: Curve, service: float, notes: list[str]
-) -> Vessel:
+def _make_stable(work: _Work) -> Vessel:
     """Reduce N_v, then raise N_r, until the ship is course-stable, and return the vessel."""
-    hull = tables["hull"]
-    N_v, N_r = hull["N_v"], hull["N_r"]
-    limit = -STABLE * service / given.length
-    for part, whole in _steps():
+    N_v, N_r = work.entries["N_v"], work.entries["N_r"]
+    limit = -STABLE * work.service / work.known.length
+    for part, whole in STABILISERS:
         if (part, whole) != (1.0, 1.0):
-            why = f"{N_v.source}; {part:g} of it: skegs or fins for a stable course"
-            hull["N_v"] = _Entry(part * N_v.value, why)
+            why = "of it: skegs or fins for a stable course"
+            work.put("N_v", part * N_v.value, f"{N_v.source}; {part:g} {why}")
             if whole != 1.0:
-                why = f"{N_r.source}; {whole:g} of it: skegs or fins for a stable course"
-                hull["N_r"] = _Entry(whole * N_r.value, why)
-        vessel = _vessel(given, tables, curve)
+                work.put("N_r", whole * N_r.value, f"{N_r.source}; {whole:g} {why}")
+        vessel = _vessel(work)
         if all(
             course_eigenvalues(vessel, vessel.values[f"shaft_speed_{at}"])[0].real < limit
             for at in ("manoeuvring", "service", "max")
         ):
             break
     if part != 1.0:
-        notes.append(
+        work.notes.append(
             f"hull and drives are course-unstable: N_v is reduced to {part:g} of its regression"
             + (f", N_r raised to {whole:g}" if whole != 1.0 else "")
         )
     return vessel
 
 
-def _steps() -> Iterator[tuple[float, float]]:
-    """Yield factors of N_v and N_r."""
-    yield from ((part, 1.0) for part in (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
-    yield from ((0.0, whole) for whole in (1.5, 2.0, 3.0, 5.0))
-    yield (-0.5, 5.0)
-
-
-def _title(given: Given) -> str:
-    return f"first draft of a {given.length_overall:.3g} m vessel"
-
-
-def _head(given: Given, service: float, power: float) -> list[str]:
-    hulls = "one hull" if given.hulls == 1 else "two hulls that do not disturb each other"
-    return [
-        "First draft by usv-twin vessel new: the particulars were given, all else is estimated for",
-        f"{hulls}. Replace estimates by better values,",
-        "and run usv-twin vessel check.",
-        f"{service / KNOT:.3g} kn in service, about {power / 1e3:.3g} kW; origin at the centre of "
-        "gravity.",
-        "Each number: value, unit, source; guess = true marks estimates.",
-    ]
+def _title(work: _Work) -> str:
+    return f"first draft of a {work.length_overall:.3g} m vessel"
 
 
 def _round(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _toml(given: Given, head: list[str], tables: Tables, curve: Curve) -> str:
-    lines = [f"# {line}" for line in head]
-    lines += ["", "[vessel]", f'name = "{given.name}"', f'title = "{_title(given)}"']
-    for name, entries in tables.items():
+def _toml(work: _Work) -> str:
+    """Return the text of the vessel file."""
+    one = work.form.hulls == 1
+    hulls = "one hull" if one else "two hulls that do not disturb each other"
+    lines = [
+        "# First draft by usv-twin vessel new: the particulars were given, all else is estimated "
+        f"for {hulls}.",
+        "# Replace estimates by better values, and run usv-twin vessel check.",
+        f"# {work.service / KNOT:.3g} kn in service, about {work.power / 1e3:.3g} kW.",
+        "# The origin lies at the centre of gravity.",
+        "# Each number: value, unit, source; guess = true marks estimates.",
+        "",
+        "[vessel]",
+        f'name = "{work.known.name}"',
+        f'title = "{_title(work)}"',
+    ]
+    for name in SCHEMA:
         lines += ["", f"[{name}]"]
         if name == "propulsion":
-            lines.append(f'kind = "{given.kind}"')
-        for key, about in keys_of(name, given.kind).items():
-            if key in entries:
-                entry = entries[key]
-                lines.append(_line(key, _round(entry.value), about[0], entry.source, entry.guess))
+            lines.append(f'kind = "{work.known.kind}"')
+        for key, (unit, _) in keys_of(name, work.known.kind).items():
+            if key in work.entries:
+                entry = work.entries[key]
+                lines.append(_line(key, _round(entry.value), unit, entry.source, entry.guess))
         if name == "hull":
             lines += ["", "[hull.resistance]"]
             for key, unit in (("speed", "m/s"), ("force", "N")):
-                lines.append(_line(key, list(map(_round, curve[key])), unit, CURVE_SOURCE, True))
+                lines.append(_line(key, _curve(work)[key], unit, CURVE_SOURCE, guess=True))
     return "\n".join(lines) + "\n"
 
 

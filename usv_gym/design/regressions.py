@@ -1,4 +1,4 @@
-"""Regressions on main particulars: hull forces, added masses, hydrostatics, periods.
+"""Regressions on main particulars: hull forces, added masses, hydrostatics.
 
 Each function takes a :class:`Form` and returns an :class:`Estimate`: numbers, source, and a note
 for each particular outside the data of the regression. Primed coefficients are dimensionless as in
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usv_gym.physics import GRAVITY
+from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
     "Estimate",
@@ -26,7 +26,6 @@ __all__ = [
     "hydrostatics",
     "kijima",
     "kijima_rudder",
-    "periods",
     "pitch_damping",
     "soding",
     "yoshimura",
@@ -63,6 +62,22 @@ class Form:
     x_G: float = 0.0  # centre of gravity forward of midship, m
     hulls: int = 1  # 2 of a catamaran
     spacing: float = 0.0  # between the centre lines of two hulls, m
+
+    @classmethod
+    def of(cls, vessel: Vessel) -> Form:
+        """Return those of a vessel."""
+        v = vessel.values
+        hulls, beam = (2, v["hull_beam"]) if "hull_beam" in v else (1, v["beam"])
+        return cls(
+            length=v["length_waterline"],
+            beam=beam,
+            draft=v["draft"],
+            block_coefficient=v["block_coefficient"] * (v["beam"] / (hulls * beam)),
+            water_density=v["water_density"],
+            x_G=v["x_G"],
+            hulls=hulls,
+            spacing=v.get("spacing", 0.0),
+        )
 
     @property
     def volume(self) -> float:
@@ -117,12 +132,11 @@ def _estimate(
 
 
 def kijima(form: Form, m_x_prime: float) -> Estimate:
-    """Return hull coefficients after Kijima and Inoue, with their cross terms.
+    """Return the linear hull coefficients after Kijima and Inoue.
 
     ``m_x_prime`` is the added mass in surge of all hulls over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
-    drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
-    :func:`cross_flow` replaces them.
+    drift. :func:`cross_flow` replaces the other terms.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c = 2.0 * d / L, C_b * B / L
@@ -131,10 +145,6 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
         "Y_r": math.pi / 4.0 * k + m_x_prime / form.hulls,
         "N_v": -k,
         "N_r": -0.54 * k + k * k,
-        "Y_vrr": -5.95 * d * (1.0 - C_b) / B,
-        "Y_vvr": 1.5 * d * C_b / B - 0.65,
-        "N_vrr": 0.5 * d * C_b / B - 0.05,
-        "N_vvr": -(57.5 * c * c - 18.4 * c + 1.6),
     }
     values = {key: form.hulls * value for key, value in values.items()}
     return _estimate("Kijima 1990", form, values, MERCHANT, *_damped("Kijima 1990", values))
@@ -190,7 +200,7 @@ def soding(form: Form) -> Estimate:
 
 
 def zhou(form: Form) -> Estimate:
-    """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
+    """Return the added mass in sway (kg) and the added inertia in yaw (kg m2).
 
     Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran that
     is deeper than half its beam lies outside them. It is taken at B/d = 2; from there on, sway and
@@ -200,13 +210,6 @@ def zhou(form: Form) -> Estimate:
     deep = max(2.0 * d / B, 1.0) if form.hulls > 1 else 1.0
     d = d / deep
     a, b, e = L / B, d / B, d * L / (B * B)
-    surge = 0.01 * (
-        0.398
-        + 11.97 * C_b * (1.0 + 3.73 * b)
-        - 2.89 * C_b * a * (1.0 + 1.13 * b)
-        + 0.175 * C_b * a * a * (1.0 + 0.541 * b)
-        - 1.107 * a * b
-    )
     sway = (
         0.882
         - 0.54 * C_b * (1.0 - 1.6 * b)
@@ -218,17 +221,13 @@ def zhou(form: Form) -> Estimate:
         L / 100.0 * (33.0 - 76.85 * C_b * (1.0 - 0.784 * C_b) + 3.43 * a * (1.0 - 0.63 * C_b))
     )
     values = {
-        "m_x": surge * form.mass,
         "m_y": deep * sway * form.mass,
         "J_zz": deep * form.mass * gyradius * gyradius,
     }
-    negative = [
-        f"Zhou 1983: {key} is {values[key]:.3g} kg, and must be above 0"
-        for key in ("m_x", "m_y")
-        if values[key] <= 0.0
-    ]
+    negative = f"Zhou 1983: m_y is {values['m_y']:.3g} kg, and must be above 0"
     bounds = {"L/B": (4.0, 10.0), "B/d": (2.0, 5.0), "C_b": (0.5, 0.85)}
-    return _estimate("Zhou 1983", form, values, bounds, *negative)
+    more = () if values["m_y"] > 0.0 else (negative,)
+    return _estimate("Zhou 1983", form, values, bounds, *more)
 
 
 def hydrostatics(form: Form, water_plane: float) -> Estimate:
@@ -267,20 +266,6 @@ def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
         "J_yy": m_z * (0.25 * form.length) ** 2,
     }
     return _estimate("strip theory", form, values, {})
-
-
-def periods(form: Form, GM_T: float) -> Estimate:
-    """Return the natural periods of heave, pitch and roll in s; GM_T in m.
-
-    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``. Roll after the weather
-    criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else ``0.373 + 0.023 B / d -
-    0.043 L / 100``.
-    """
-    B, d = form.beam, form.draft
-    heave = 2.0 * math.pi * math.sqrt(2.0 * d / GRAVITY)
-    share = 0.4 if form.length < 45.0 else 0.373 + 0.023 * B / d - 0.043 * form.length / 100.0
-    values = {"heave": heave, "pitch": heave, "roll": 2.0 * share * B / math.sqrt(GM_T)}
-    return _estimate("Jensen 2004 and IMO", form, values, {"B/d": (1.5, 6.0)})
 
 
 def pitch_damping(form: Form) -> Estimate:

@@ -81,7 +81,49 @@ class Recorder:
             self.rows[i].append(Recorded(*now))
 
 
-class USVEnv(gym.Env[np.ndarray, np.ndarray]):
+class BoatsAtSea:
+    """What single and vector environments have in common.
+
+    Attributes
+    ----------
+    episodes : Episodes
+        The boats; ``simulation``, ``task``, ``vessel``, ``seas`` and ``speed`` are theirs.
+    observation_names : tuple of str
+        What each entry of an observation is.
+    """
+
+    metadata: dict[str, Any]
+
+    def _set_up(
+        self,
+        episodes: Episodes,
+        observer: Callable[[Episodes], Observer] | None,
+        record: bool,
+        render_mode: str | None,
+        render_size: tuple[int, int],
+    ) -> tuple[spaces.Box, spaces.Box]:
+        """Add what looks on to the episodes; return the spaces of actions and observations."""
+        if not isinstance(record, bool):
+            raise UsvTwinError(f"record = {record!r}: must be True or False")
+        self.episodes = episodes
+        self.simulation, self.task = episodes.simulation, episodes.task
+        self.vessel, self.seas, self.speed = episodes.vessel, episodes.seas, episodes.speed
+        self.observer = observer(episodes) if observer else None
+        self.metadata = {**self.metadata, "render_fps": fps_of(episodes)}
+        self.render_mode = render_mode
+        self.renderer = Renderer.of(episodes, self.observer, render_mode, render_size)
+        self.recorder = Recorder(episodes) if record else None
+        callbacks = self.observer, self.renderer, self.recorder
+        self._callbacks = tuple(one for one in callbacks if one is not None)
+        names = episodes.observation + (self.observer.names if self.observer else ())
+        self._selection = self.observer.selection if self.observer else None
+        self.observation_names = self._selection.names if self._selection else names
+        # entries of the observations, shown or not
+        self._obs_shape = episodes.n, len(names)
+        return spaces_of(episodes.width, len(self.observation_names))
+
+
+class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
     """An unmanned surface vessel in wind and waves, observed through its sensors.
 
     Description
@@ -207,34 +249,16 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         render_size: tuple[int, int] = RENDER_SIZE,
         **options: Any,
     ) -> None:
-        if not isinstance(record, bool):
-            raise UsvTwinError(f"record = {record!r}: must be True or False")
         own = "record", "render_mode", "render_size"
-        self.episodes = Episodes(1, EnvConfig.of(options, own))
-        self.simulation, self.task = self.episodes.simulation, self.episodes.task
-        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
-        self.speed = self.episodes.speed
-        self.observer = observer(self.episodes) if observer else None
-        self.observation_names = names_of(self.episodes, self.observer)
-        """What each entry of the observation is."""
-        self.action_space, self.observation_space = spaces_of(
-            self.episodes.width, len(self.observation_names)
+        episodes = Episodes(1, EnvConfig.of(options, own))
+        self.action_space, self.observation_space = self._set_up(
+            episodes, observer, record, render_mode, render_size
         )
-        self._shape, self._obs_shape = (
-            (self.episodes.width,),
-            (1, full_size(self.episodes, self.observer)),
-        )
-        self._selection = self.observer.selection if self.observer else None
-        self._action = self.episodes.actions[1, 0]
-        self._progress = self.episodes.memory[0, : record_size(TASK)]
+        self._shape = (episodes.width,)
+        self._action = episodes.actions[1, 0]
+        self._progress = episodes.memory[0, : record_size(TASK)]
         self._time = self.simulation.t
         self._started = False
-        self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
-        self.render_mode = render_mode
-        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        self.recorder = Recorder(self.episodes) if record else None
-        callbacks = self.observer, self.renderer, self.recorder
-        self._callbacks = tuple(one for one in callbacks if one is not None)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -335,18 +359,6 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             for name, values in self.observer.infos().items():
                 info[name] = values.item(0)
         return info
-
-
-def names_of(episodes: Episodes, observer: Observer | None) -> tuple[str, ...]:
-    """Return what each entry of the observation is."""
-    if observer and observer.selection:
-        return observer.selection.names
-    return episodes.observation + (observer.names if observer else ())
-
-
-def full_size(episodes: Episodes, observer: Observer | None) -> int:
-    """Return how many entries there are, shown or not."""
-    return len(episodes.observation) + (len(observer.names) if observer else 0)
 
 
 def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from usv_gym.envs.selection import Selection
+
 __all__ = ["Observer", "StepCallback"]
 
 _ALL = slice(None)
-
-
-class Selection(Protocol):
-    """What of an observation is shown; see :mod:`usv_gym.envs.selection`."""
-
-    names: tuple[str, ...]
-
-    def pick(self, full: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what is shown (n, d) of the observations (n, D) of all boats."""
 
 
 class StepCallback(Protocol):

@@ -244,22 +244,14 @@ class Painter:
         self._words: dict[tuple[str, Any], Any] = {}
         pad, line = em // 2, self._line
         rose = min(10 * line, w - 35 * em)
-        self._wide = w >= 1.25 * h
-        if self._wide:
-            panel = max(18 * em, rose)
-            self._map = self.pg.Rect(0, 0, w - panel, h)
-            left = w - panel + pad
-            self._rose = self.pg.Rect(left, pad, rose, rose)
-            self._said = left, rose + 2 * pad
-        else:
-            panel = 12 * line + 3 * pad
-            self._map = self.pg.Rect(0, 0, w, h - panel)
-            top = h - panel + pad
-            self._rose = self.pg.Rect(pad, top + (10 * line - rose) // 2, rose, rose)
-            spare = max(w - rose - 35 * em, 0) // 4
-            left = pad + rose + em + spare
-            self._said, self._key = (left, top), (left + round(15.5 * em) + spare, top)
-            self._terms = pad, top + 10 * line + pad
+        panel = 12 * line + 3 * pad
+        self._map = self.pg.Rect(0, 0, w, h - panel)
+        top = h - panel + pad
+        self._rose = self.pg.Rect(pad, top + (10 * line - rose) // 2, rose, rose)
+        spare = max(w - rose - 35 * em, 0) // 4
+        left = pad + rose + em + spare
+        self._said, self._key = (left, top), (left + round(15.5 * em) + spare, top)
+        self._terms = pad, top + 10 * line + pad
         fine = _FINE * self._map.width, _FINE * self._map.height
         self._canvas = self.pg.Surface(fine, 0, 32)
         self._frame = self.pg.Surface(self.size, 0, 32)
@@ -281,13 +273,9 @@ class Painter:
         terms = [f"{name.replace('_', ' ')} {value:+.2f}" for name, value in scene.rewards.items()]
         if terms:
             terms.insert(0, f"reward {sum(scene.rewards.values()):+.2f}")
-        end = self._write(self._said, _said(scene))
-        if self._wide:  # one below the other
-            end = self._write((end[0], end[1] + self._em), [(text, _INK) for text in terms])
-            self._draw_key(scene, (end[0], end[1] + self._em * bool(terms)))
-        else:
-            self._write(self._terms, [(text, _INK) for text in (*terms[:1], "   ".join(terms[1:]))])
-            self._draw_key(scene, self._key)
+        self._write(self._said, _said(scene))
+        self._write(self._terms, [(text, _INK) for text in (*terms[:1], "   ".join(terms[1:]))])
+        self._draw_key(scene, self._key)
         return self._frame
 
     def _draw_map(self, scene: Scene) -> None:
@@ -406,54 +394,24 @@ class Painter:
         self.placed.append(self._rose)
 
     def _draw_key(self, scene: Scene, place: tuple[int, int]) -> None:
-        """Draw what each colour and shape stands for."""
-        draw, frame, em = self.pg.draw, self._frame, self._em
-        thin, (left, top) = max(1, em // 7), place
-        rows = [
-            ("hull", _HULL, "boat (truth)"),
-            ("line", _BLUE, "its track"),
-            ("dot", _PURPLE, "GPS fix"),
-        ]
+        """Draw what each colour stands for."""
+        rows = [(_HULL, "boat (truth)"), (_BLUE, "its track"), (_PURPLE, "GPS fix")]
         if scene.overlay:
+            horizons = scene.overlay.horizons
+            listed = ", ".join(f"{number:g}" for number in horizons)
             rows += [
-                ("ghost", _RED, "twin: boat now"),
-                ("line", _RED, f"twin: next {scene.overlay.horizons[-1]:g} s"),
-                (
-                    "ellipse",
-                    _PALE,
-                    f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s",
-                ),
+                (_RED, f"twin: now and next {horizons[-1]:g} s"),
+                (_PALE, f"twin: {SDS:g} sd; at {listed} s"),
             ]
         if len(scene.path):
-            rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
-        rows += [("wind", _SKY, "wind")] * (scene.wind > 0.05)
-        rows += [("waves", _BLUE, "waves")] * (scene.hs > 0.005)
-        for k, (kind, colour) in enumerate(row[:2] for row in rows):
+            rows += [(_GREEN, "present leg"), (_GREY, "path, way points")]
+        rows += [(_SKY, "wind")] * (scene.wind > 0.05)
+        rows += [(_BLUE, "waves (double arrow)")] * (scene.hs > 0.005)
+        em, (left, top) = self._em, place
+        for k, (colour, _) in enumerate(rows):
             y = top + k * self._line + self._line // 2
-            end, middle = (left + 2 * em, y), (left + em, y)
-            if kind in ("hull", "ghost"):
-                b = 0.35 * em
-                shape = [(end[0], y), (end[0] - em, y - b), (left, y - b), (left, y + b)]
-                shape.append((end[0] - em, y + b))
-                draw.polygon(frame, colour, shape, 0 if kind == "hull" else thin)
-            elif kind == "dot":
-                draw.circle(frame, colour, middle, 0.25 * em)
-            elif kind == "ellipse":
-                box = self.pg.Rect(left, y - 0.4 * em, 2 * em, 0.8 * em)
-                draw.ellipse(frame, colour, box)
-                draw.ellipse(frame, _RED, box, 1)
-            else:
-                width = 2 * thin if kind == "bold" else thin
-                for dy in (-0.2 * em, 0.2 * em) if kind == "waves" else (0.0,):
-                    draw.line(frame, colour, (left, y + dy), (end[0], y + dy), width)
-                if kind == "ring":
-                    draw.circle(frame, colour, middle, 0.4 * em)
-                    draw.circle(frame, _PANEL, middle, 0.25 * em)
-                elif kind in ("wind", "waves"):
-                    head = end[0] - 0.8 * em
-                    tip = [(end[0], y), (head, y - 0.4 * em), (head, y + 0.4 * em)]
-                    draw.polygon(frame, colour, tip)
-        self._write((left + round(2.6 * em), top), [(row[2], _INK) for row in rows])
+            self._frame.fill(colour, (left, y - em // 4, 2 * em, max(em // 2, 1)))
+        self._write((left + round(2.6 * em), top), [(text, _INK) for _, text in rows])
 
     def _word(self, text: str, colour: Any) -> Any:
         key = text, colour
@@ -463,13 +421,12 @@ class Painter:
             self._words[key] = self._font.render(text, True, colour)
         return self._words[key]
 
-    def _write(self, place: tuple[int, int], lines: list[tuple[str, Any]]) -> tuple[int, int]:
-        """Write lines of a text and its colour from a place on; return where the next one goes."""
+    def _write(self, place: tuple[int, int], lines: list[tuple[str, Any]]) -> None:
+        """Write lines of a text and its colour from a place on."""
         left, top = place
         for text, colour in lines:
             self.placed.append(self._frame.blit(self._word(text, colour), (left, top)))
             top += self._line
-        return left, top
 
     def _boxed(self, text: str, top: tuple[int, int], colour: Any) -> None:
         """Write white on a colour, from a place at the middle of its top."""
@@ -478,10 +435,6 @@ class Painter:
         self._frame.fill(colour, box)
         self._frame.blit(words, words.get_rect(center=box.center))
         self.placed.append(box)
-
-
-def _listed(numbers: Array) -> str:
-    return ", ".join(f"{number:g}" for number in numbers)
 
 
 def _said(scene: Scene) -> list[tuple[str, Any]]:

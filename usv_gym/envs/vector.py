@@ -14,9 +14,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.env import Recorder, full_size, names_of, spaces_of
+from usv_gym.envs.env import BoatsAtSea
 from usv_gym.envs.episodes import Episodes, Observer
-from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
+from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, pictures
 from usv_gym.envs.worlds import DRAWN
 from usv_gym.world.simulation import BOATS_MAX
 from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
@@ -33,7 +33,7 @@ STEPS_MAX = 10**12
 """Longest episode, decisions."""
 
 
-class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """``num_envs`` of :class:`usv_gym.envs.env.USVEnv` in one, each bit for bit what it is alone.
 
     Parameters
@@ -102,32 +102,16 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise UsvTwinError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
-        self.episodes = Episodes(self.num_envs, config, threads=num_threads)
-        self.simulation, self.task = self.episodes.simulation, self.episodes.task
-        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
-        self.speed = self.episodes.speed
-        self.frame_skip = self.episodes.frame_skip
-        self.observer = observer(self.episodes) if observer else None
-        self.metadata["render_fps"] = fps_of(self.episodes)
-        self.render_mode = render_mode
-        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        if not isinstance(record, bool):
-            raise UsvTwinError(f"record = {record!r}: must be True or False")
-        self.recorder = Recorder(self.episodes) if record else None
-        callbacks = self.observer, self.renderer, self.recorder
-        self._callbacks = tuple(one for one in callbacks if one is not None)
-        self.observation_names = names_of(self.episodes, self.observer)
-        """What each entry of an observation is."""
-        self.single_action_space, self.single_observation_space = spaces_of(
-            self.episodes.width, len(self.observation_names)
+        episodes = Episodes(self.num_envs, config, threads=num_threads)
+        self.single_action_space, self.single_observation_space = self._set_up(
+            episodes, observer, record, render_mode, render_size
         )
+        self.frame_skip = episodes.frame_skip
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._parents: list[Parent | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
-        size = full_size(self.episodes, self.observer)
-        self._obs = np.zeros((self.num_envs, size), np.float32)
-        self._selection = self.observer.selection if self.observer else None
+        self._obs = np.zeros(self._obs_shape, np.float32)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         # steps after which each boat's episode is truncated
         self._limit = (max_episode_steps or math.inf) * self.frame_skip

@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.vessel.variation import (
-    FACTORS,
-    LAW,
-    BoatClass,
-    Factors,
-    draw_boat,
-    scratch_of_draws,
-)
-from usv_gym.vessel.vessel import Vessel, VesselError
+from usv_gym.vessel.variation import FACTORS, LAW, Factors, draw_boat, scratch_of_draws
+from usv_gym.vessel.vessel import BoatClass, Vessel, VesselError
 from usv_gym.world.faults import (
     Disturbance,
     FaultError,

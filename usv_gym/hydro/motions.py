@@ -20,7 +20,6 @@ from usv_gym.physics import GRAVITY
 __all__ = [
     "Frequencies",
     "Matrices",
-    "drift_loads",
     "equivalent_loads",
     "natural_frequencies",
     "natural_values",
@@ -240,34 +239,3 @@ def response(table: HydroTable, values: Mapping[str, float]) -> Complex:
     whole = whole - 1j * w * (table.damping + ship.viscous)
     motion = np.linalg.solve(whole, np.swapaxes(table.excitation, 1, 2))
     return np.asarray(np.swapaxes(motion, 1, 2))
-
-
-def drift_loads(
-    omega: Array, heading: Array, kochin: Complex, absorbed: Array, density: float
-) -> Array:
-    """Return the mean drift (F, H, 3) per square of the amplitude from far-field waves.
-
-    ``kochin`` (F, H, 2 N) is the Kochin function of all waves that the moving hull sends out, at
-    even angles from 0; ``absorbed`` (F, H) the power that viscous damping takes, W/m2. The axes are
-    x ahead and y to port, the angles counter-clockwise, as in capytaine.
-
-    Source: Maruo 1960, Newman 1967, in capytaine's scale. What the wave loses is taken from the
-    energy sent out and absorbed, not from the wave sent straight on: the two are equal by
-    conservation of energy.
-    """
-    k = (omega**2 / GRAVITY)[:, None]
-    count = kochin.shape[2]
-    theta = 2.0 * np.pi * np.arange(count) / count
-    step, scale = 2.0 * np.pi / count, 2.0 * np.pi * density * k**2
-    sent = scale[..., None] * np.abs(kochin) ** 2 * step
-    lost = sent.sum(axis=2) + absorbed * k / omega[:, None]
-    X = lost * np.cos(heading) - np.sum(sent * np.cos(theta), axis=2)
-    Y = lost * np.sin(heading) - np.sum(sent * np.sin(theta), axis=2)
-    order = np.fft.fftfreq(count, 1.0 / count)
-    waves = np.fft.fft(kochin, axis=2)
-    slope = np.fft.ifft(1j * order * waves, axis=2)
-    ahead = np.exp(1j * order * heading[:, None])
-    straight = np.einsum("fhn,hn->fh", 1j * order * waves, ahead) / count
-    N = (2.0 * np.pi * density * omega[:, None] / k) * (1j * straight).real
-    N = N - scale / k * np.sum((np.conj(kochin) * slope).imag, axis=2) * step
-    return np.stack([X, Y, N], axis=-1)

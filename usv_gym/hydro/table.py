@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.physics import GRAVITY
 from usv_kernel.errors import UsvTwinError
 
 __all__ = ["HydroError", "HydroTable", "between"]
@@ -137,27 +136,6 @@ class HydroTable:
             hydrostatics=None
             if static is None
             else (static[0] * ratio**2, *(number * ratio for number in static[1:])),  # type: ignore[arg-type]
-        )
-
-    def moved(self, x: float) -> HydroTable:
-        """Return the table about an origin that lies x (m) aft of its own."""
-        if x == 0.0:
-            return self
-        k = (self.omega**2 / GRAVITY)[:, None]
-        turn = np.exp(1j * k * x * np.cos(self.heading))[..., None]
-        # velocities at the old origin from those at the new one
-        shift = np.eye(6)
-        shift[1, 5], shift[2, 4] = x, -x
-        F, drift, static = self.excitation, self.drift, self.hydrostatics
-        if drift is not None:
-            drift = drift + np.stack([0.0 * drift[..., 0]] * 2 + [x * drift[..., 1]], axis=-1)
-        return dataclasses.replace(
-            self,
-            added_mass=shift.T @ self.added_mass @ shift,
-            damping=shift.T @ self.damping @ shift,
-            excitation=turn * (F @ shift),
-            drift=drift,
-            hydrostatics=None if static is None else (static[0], static[1] + x, *static[2:]),
         )
 
     def around(self, values: NDArray[np.inexact]) -> NDArray[np.inexact]:

@@ -1,4 +1,4 @@
-"""Manoeuvring indices of tracks, and the criteria of IMO.
+"""Tracks of manoeuvres, their indices, and the criteria of IMO.
 
 Lengths are in ship lengths (argument ``length``; between perpendiculars for IMO). Rates of turn are
 ``r L / U`` with the present speed U, times in s, angles in rad. A turn to port is mirrored first,
@@ -10,28 +10,158 @@ holds actual helm angles, that is later by the delay of the steering gear.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from usv_gym.manoeuvring.track import Track, TrackError, crossing
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Criterion",
-    "PullOut",
-    "Spiral",
-    "Stopping",
+    "Track",
+    "TrackError",
     "Turning",
     "Zigzag",
     "imo",
-    "pull_out",
-    "spiral",
-    "stopping",
     "turning",
     "zigzag",
 ]
+
+
+class TrackError(UsvTwinError):
+    """A track without the data that an index needs; the message names what is missing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Motion of one ship over time.
+
+    TrackError: columns of unequal length, numbers that are not finite, or times that do not rise.
+    """
+
+    t: np.ndarray  # (N,): times, s; rising, in any steps
+    # (N,): position to north and east (or along and to starboard of any fixed line), m
+    x: np.ndarray
+    y: np.ndarray
+    psi: np.ndarray  # (N,): heading, rad; jumps by whole turns are removed
+    # (N,): velocity ahead and to starboard (m/s) and rate of turn (rad/s); default from the slopes
+    # of position and heading
+    u: np.ndarray | None = None
+    v: np.ndarray | None = None
+    r: np.ndarray | None = None
+    # (N,): actual or ordered helm angle, rad; positive turns to starboard
+    delta: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        size = np.size(self.t)
+        if size < 2:
+            raise TrackError(f"a track needs 2 samples or more, got {size}")
+        for name, values in self._given().items():
+            column = np.asarray(values, dtype=float)
+            if column.shape != (size,):
+                raise TrackError(f"{name} has shape {column.shape}, but t has {size} samples")
+            bad = np.flatnonzero(~np.isfinite(column))
+            if bad.size:
+                raise TrackError(f"{name} is not finite at sample {bad[0]}; drop such samples")
+            object.__setattr__(self, name, np.unwrap(column) if name == "psi" else column)
+        late = np.flatnonzero(np.diff(self.t) <= 0.0)
+        if late.size:
+            raise TrackError(
+                f"times must rise, but after {self.t[late[0]]:g} s comes {self.t[late[0] + 1]:g} s"
+            )
+
+    def _given(self) -> dict[str, np.ndarray]:
+        """Return the present columns by name."""
+        columns = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        return {name: values for name, values in columns.items() if values is not None}
+
+    @cached_property
+    def motion(self) -> np.ndarray:
+        """Velocity ahead, to starboard (m/s) and rate of turn (rad/s), shape (3, N)."""
+        north, east = np.gradient(self.x, self.t), np.gradient(self.y, self.t)
+        c, s = np.cos(self.psi), np.sin(self.psi)
+        derived = c * north + s * east, c * east - s * north, np.gradient(self.psi, self.t)
+        given = self.u, self.v, self.r
+        return np.array([d if g is None else g for d, g in zip(derived, given, strict=True)])
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Speed, m/s, shape (N,)."""
+        return np.hypot(self.motion[0], self.motion[1])
+
+    @cached_property
+    def travelled(self) -> np.ndarray:
+        """Distance along the path from the first sample, m, shape (N,)."""
+        steps = 0.5 * (self.speed[1:] + self.speed[:-1]) * np.diff(self.t)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def helm(self) -> np.ndarray:
+        """Helm angle, rad, shape (N,); :class:`TrackError` if it was not recorded."""
+        if self.delta is None:
+            raise TrackError("the track has no helm angle (delta): give the time of the order")
+        return self.delta
+
+    def mirrored(self) -> Track:
+        """Return the track with port and starboard exchanged."""
+        odd = ("y", "psi", "v", "r", "delta")
+        given = self._given()
+        return Track(**{name: -a if name in odd else a for name, a in given.items()})
+
+    def between(self, start: float, end: float = math.inf) -> Track:
+        """Return the part between two times (s), with a sample at the start."""
+        if not self.t[0] <= start < self.t[-1]:
+            raise TrackError(
+                f"{start:g} s is not inside the track, which is from {self.t[0]:g} s to "
+                f"{self.t[-1]:g} s"
+            )
+        t = np.concatenate([[start], self.t[(self.t > start) & (self.t <= end)]])
+        return self._at(t)
+
+    def helm_moves(self) -> float:
+        """Return when the helm first moves, s, extrapolated from 10 and 20 % of its range."""
+        moved = np.abs(self.helm - self.helm[0])
+        low, high = (crossing(self.t, moved, share * moved.max()) for share in (0.1, 0.2))
+        if low is None or high is None or moved.max() == 0.0:
+            raise TrackError("the helm never moves: give the time of the order")
+        return float(max(self.t[0], 2.0 * low - high))
+
+    def begun(self, origin: float | None = None, heading: float | None = None) -> Track:
+        """Return the manoeuvre from its origin on, relative to the approach: t, x, y are 0 there.
+
+        ``origin`` is the time of the order, s, by default :meth:`helm_moves`; ``heading`` that of
+        the approach, rad, by default the mean up to the origin.
+        """
+        start = self.helm_moves() if origin is None else origin
+        run = self.between(start)
+        if heading is None:
+            base = float(np.mean(self.psi[self.t <= start]))
+        else:
+            base = heading + 2.0 * math.pi * round((run.psi[0] - heading) / (2.0 * math.pi))
+        x, y, c, s = run.x - run.x[0], run.y - run.y[0], math.cos(base), math.sin(base)
+        return dataclasses.replace(
+            run, t=run.t - start, x=c * x + s * y, y=c * y - s * x, psi=run.psi - base
+        )
+
+    def _at(self, t: np.ndarray) -> Track:
+        """Return the track interpolated at other times."""
+        columns = self._given()
+        return Track(**{name: np.interp(t, self.t, values) for name, values in columns.items()})
+
+
+def crossing(t: np.ndarray, values: np.ndarray, level: float) -> float | None:
+    """Return when values first reach a level, by interpolation; None if they never do."""
+    above = np.flatnonzero(values >= level)
+    if not above.size:
+        return None
+    k = max(int(above[0]), 1)
+    low, high = values[k - 1], values[k]
+    share = (level - low) / (high - low) if low < level else 0.0
+    return float(t[k - 1] + share * (t[k] - t[k - 1]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,46 +212,6 @@ class Zigzag:
     """Time from the second to the fourth order, s; nan without a fourth."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PullOut:
-    """Indices of pull-outs from turns to both sides."""
-
-    starboard: float
-    """Residual rate after a turn to starboard, r L / U; positive to starboard."""
-    port: float
-    """Residual rate after a turn to port, r L / U; positive to starboard."""
-    stable: bool
-    """Whether both agree within :data:`RESIDUAL`: the ship is course-stable."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Spiral:
-    """Indices of a direct spiral."""
-
-    falling: np.ndarray
-    """Helm angle (rad) and steady rate (r L / U) from starboard to port, shape (2, K)."""
-    rising: np.ndarray
-    """The same from port to starboard."""
-    height: float
-    """Height of the loop at helm 0, r L / U: falling less rising branch."""
-    width: float
-    """Width of the loop at rate 0, rad; its resolution is a step of the helm."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stopping:
-    """Indices of a stopping trial."""
-
-    track_reach: float
-    """Distance along the path until the ship stops, lengths."""
-    head_reach: float
-    """Distance along the approach, lengths."""
-    side_reach: float
-    """Distance across the approach, lengths; positive to starboard."""
-    time: float
-    """Time until the ship stops, s."""
-
-
 @dataclass(frozen=True)
 class Criterion:
     """One criterion of IMO; ``str`` gives it in one line, with angles in degrees."""
@@ -145,13 +235,6 @@ class Criterion:
         result = "ok" if self.ok else "not met"
         value, limit = scale * self.value, scale * self.limit
         return f"{self.name} {value:.2f} {unit}, at most {limit:.2f} {unit}: {result}"
-
-
-RESIDUAL = 0.02
-"""Largest difference of the residual rates (r L / U) of a course-stable ship."""
-
-STILL = math.radians(0.25)
-"""Largest change of the helm during a hold of a spiral, rad."""
 
 
 def turning(
@@ -252,94 +335,6 @@ def zigzag(
     )
 
 
-def pull_out(
-    starboard: Track, port: Track, *, length: float, releases: Sequence[float] = ()
-) -> PullOut:
-    """Return the residual rates of a ship of a length (m) after turns to both sides.
-
-    Runs go from the turn to the end of the pull-out. ``releases`` are the times when the helm was
-    put back, s, by default from the helm. The rate is the mean over the last fifth of the time
-    after.
-
-    Source: IMO MSC/Circ.1053, 2.3.
-    """
-    residuals = []
-    for k, track in enumerate((starboard, port)):
-        if releases:
-            release = releases[k]
-        else:
-            moved = np.abs(track.helm - track.helm[-1])
-            release = float(track.t[np.flatnonzero(moved >= 0.5 * moved.max())[-1]])
-        residuals.append(_last_rate(track.between(release), length))
-    return PullOut(
-        starboard=residuals[0],
-        port=residuals[1],
-        stable=abs(residuals[0] - residuals[1]) <= RESIDUAL,
-    )
-
-
-def spiral(track: Track, *, length: float) -> Spiral:
-    """Return the indices of Dieudonne's direct spiral of a ship of a length (m).
-
-    The helm is held at successive angles from one side to the other and back, each until the rate
-    is steady. The rate is the mean over the last fifth of each hold, during which the helm may
-    change by :data:`STILL`.
-
-    Source: IMO MSC/Circ.1053, 2.4.
-    """
-    helm, begin, holds = track.helm, 0, []
-    for k in range(1, len(helm) + 1):
-        if k < len(helm) and abs(helm[k] - helm[begin]) <= STILL:
-            continue
-        # holds shorter than a ship length are helm motion
-        if track.travelled[k - 1] - track.travelled[begin] > length:
-            part = track.between(track.t[begin], track.t[k - 1])
-            holds.append((float(np.median(helm[begin:k])), _last_rate(part, length)))
-        begin = k
-    levels = np.array(holds).T
-    if len(holds) < 3 or not levels[0].min() < 0.0 < levels[0].max():
-        raise TrackError(
-            f"a spiral needs holds of the helm on either side, there and back; found {len(holds)}"
-        )
-    falls = levels[0, 0] > 0.0
-    far = int(np.argmin(levels[0]) if falls else np.argmax(levels[0]))
-    branches = levels[:, : far + 1], levels[:, far:]
-    falling, rising = branches if falls else branches[::-1]
-    falling, rising = (b[:, np.argsort(b[0], kind="stable")] for b in (falling, rising))
-    heights, zeros = [], []
-    for name, (angle, rate) in (("falling", falling), ("rising", rising)):
-        if not (angle[0] < 0.0 < angle[-1] and rate[0] < 0.0 < rate[-1]):
-            raise TrackError(f"the {name} helm does not take the ship from one side to the other")
-        heights.append(float(np.interp(0.0, angle, rate)))
-        k = int(np.argmax(rate > 0.0))
-        share = rate[k - 1] / (rate[k - 1] - rate[k])
-        zeros.append(float(angle[k - 1] + share * (angle[k] - angle[k - 1])))
-    return Spiral(
-        falling=falling[:, ::-1],
-        rising=rising,
-        height=heights[0] - heights[1],
-        width=zeros[1] - zeros[0],
-    )
-
-
-def stopping(
-    track: Track, *, length: float, origin: float | None = None, heading: float | None = None
-) -> Stopping:
-    """Return the indices of a stopping trial of a ship of a length (m), up to the stop.
-
-    ``origin`` is the time of the order, s, by default the first sample; ``heading`` that of the
-    approach, rad, see :meth:`Track.begun`.
-
-    Source: IMO MSC/Circ.1053, 2.5.
-    """
-    run = track.begun(float(track.t[0]) if origin is None else origin, heading)
-    time = crossing(run.t, -run.motion[0], 0.0)
-    if time is None:
-        raise TrackError(f"the ship still moves ahead at {run.motion[0, -1]:.3g} m/s at the end")
-    reach = [float(np.interp(time, run.t, a)) / length for a in (run.travelled, run.x, run.y)]
-    return Stopping(track_reach=reach[0], head_reach=reach[1], side_reach=reach[2], time=time)
-
-
 def imo(
     *,
     length: float,
@@ -347,21 +342,19 @@ def imo(
     turning: Turning | Sequence[Turning] = (),
     zigzag_10: Zigzag | Sequence[Zigzag] = (),
     zigzag_20: Zigzag | Sequence[Zigzag] = (),
-    stopping: Stopping | Sequence[Stopping] = (),
 ) -> list[Criterion]:
     """Return the manoeuvring criteria of IMO for the given trials.
 
     They hold for loaded ships of 100 m and more in deep calm water. The approach has 90 % or more
     of the speed at 85 % of full power. ``length`` is between perpendiculars, m; ``speed`` that of
-    the approach, m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20,
-    stopping is full astern; the worst of several counts.
+    the approach, m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20;
+    the worst of several counts.
 
     Source: IMO MSC.137(76), 5.3.
     """
     if not (length > 0.0 and speed > 0.0):
         raise TrackError(f"length = {length:g} m and speed = {speed:g} m/s must be above 0")
     circles = [turning] if isinstance(turning, Turning) else turning
-    stops = [stopping] if isinstance(stopping, Stopping) else stopping
     # limits of the 10/10 zigzag rise with L / U between 10 and 30 s
     seconds = min(max(length / speed, 10.0), 30.0)
     rows = []
@@ -379,7 +372,6 @@ def imo(
     row("10/10: second overshoot", [z.overshoots[1] for z in tens], second, "rad")
     twenties = _zigzags(zigzag_20, 20.0, 1)
     row("20/20: first overshoot", [z.overshoots[0] for z in twenties], math.radians(25.0), "rad")
-    row("stopping: track reach", [s.track_reach for s in stops], 15.0, "L")
     return rows
 
 
@@ -416,10 +408,3 @@ def _approach_speed(track: Track, run: Track, origin: float | None) -> float:
     start = track.helm_moves() if origin is None else origin
     before = track.t <= start
     return float(np.mean(track.speed[before])) if before.any() else float(run.speed[0])
-
-
-def _last_rate(part: Track, length: float) -> float:
-    """Return the mean of r L / U over the last fifth of the time."""
-    last = part.t >= part.t[-1] - 0.2 * (part.t[-1] - part.t[0])
-    u, v, r = np.mean(part.motion[:, last], axis=1)
-    return float(r * length / math.hypot(u, v))

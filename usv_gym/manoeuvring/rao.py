@@ -1,8 +1,6 @@
-"""Response amplitudes in regular waves, and independent formulas to compare them with.
+"""Response amplitudes in regular waves.
 
-Amplitudes come from a simulation in six degrees of freedom, in a wave so low that the response is
-linear. The formulas are Jensen's closed forms of heave and pitch, and the numerical integral of
-the wave pressure over a box.
+They come from a simulation in six degrees of freedom, in a wave so low that the response is linear.
 """
 
 from __future__ import annotations
@@ -12,18 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import spherical_jn
 
-from usv_gym.physics import GRAVITY, ship, waves
+from usv_gym.physics import GRAVITY, ship
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea
 
 __all__ = [
-    "Box",
     "Response",
-    "box_loads",
-    "jensen",
     "respond",
     "responses",
 ]
@@ -65,13 +59,7 @@ def respond(
     rad: 0 following, pi head sea; ``amplitude`` in m. The boat has a constant shaft speed, for
     ``speed``, m/s. Amplitudes are NaN if the encounter frequency is below :data:`SLOWEST`.
     """
-    return _respond(vessel, omega, heading, speed, amplitude, vessel.shaft_speed_for(speed))
-
-
-def _respond(
-    vessel: Vessel, omega: float, heading: float, speed: float, amplitude: float, n: float
-) -> Response:
-    """Return amplitudes at a given shaft speed; see :func:`respond`."""
+    n = vessel.shaft_speed_for(speed)
     k = omega**2 / GRAVITY
     expected = omega - k * speed * math.cos(heading)
     if abs(expected) < SLOWEST:
@@ -104,84 +92,8 @@ def responses(
     amplitude: float = 1e-3,
 ) -> Response:
     """Return :func:`respond` for several wave frequencies (M,), as arrays."""
-    n = vessel.shaft_speed_for(speed)
     each = [
-        _respond(vessel, float(w), heading, speed, amplitude, n)
+        respond(vessel, float(w), heading, speed=speed, amplitude=amplitude)
         for w in np.asarray(omega, dtype=float)
     ]
     return Response(*np.array(each).T)
-
-
-def jensen(
-    omega: ArrayLike,
-    heading: float,
-    *,
-    speed: float,
-    length: float,
-    beam: float,
-    draft: float,
-    block: float,
-) -> tuple[Array, Array]:
-    """Return heave (m/m) and pitch (rad/m) of a box-shaped ship by Jensen's closed forms.
-
-    ``omega`` is the circular frequency of the wave, rad/s. ``heading`` is its direction less that
-    of the boat, rad: 0 following, pi head sea. ``speed`` is in m/s, for Froude numbers below 0.4.
-    Lengths are of the water line, m; ``block`` reduces the beam.
-
-    Source: Jensen, Mansour and Olsen 2004; the pressure falls with exp(-k T) on every heading.
-    """
-    w = np.asarray(omega, dtype=float)
-    k, B, T = w**2 / GRAVITY, beam * block, draft
-    a = 1.0 - w * speed / GRAVITY * math.cos(heading)
-    half = 0.5 * np.abs(k * math.cos(heading)) * length
-    A = 2.0 * np.sin(0.5 * k * B * a**2) * np.exp(-k * T * a**2)
-    f = np.sqrt((1.0 - k * T) ** 2 + (A**2 / (k * B * a**3)) ** 2)
-    load = np.exp(-k * T) * f
-    eta = 1.0 / np.hypot(1.0 - 2.0 * k * T * a**2, A**2 / (k * B * a**2))
-    heave = eta * load * np.abs(np.sinc(half / math.pi))
-    pitch = eta * load * (6.0 / length) * np.abs(spherical_jn(1, half))
-    return heave, pitch
-
-
-class Box(NamedTuple):
-    """A floating box in m, and the density of the water in kg/m3."""
-
-    length: float
-    beam: float
-    draft: float
-    density: float
-
-
-def box_loads(row: Array, x: float, y: float, psi: float, t: float, box: Box) -> Array:
-    """Return X, Y (N), N (N m), Z (N, down), K, M (N m) of one wave on a box, by quadrature.
-
-    ``row`` (7,) is one wave component. Gauss-Legendre quadrature of the pressure on the bottom,
-    and of its horizontal gradient over the volume. By Gauss' theorem this equals the pressure on
-    the sides, without cancellation.
-    """
-    length, beam, draft, density = box
-    nodes, weights = np.polynomial.legendre.leggauss(48)
-    a, b = 0.5 * length * nodes[:, None], 0.5 * beam * nodes[None, :]
-    area = 0.25 * length * beam * weights[:, None] * weights[None, :]
-    k = math.hypot(row[waves.K_NORTH], row[waves.K_EAST])
-    c, s = math.cos(psi), math.sin(psi)
-    k_x = row[waves.K_NORTH] * c + row[waves.K_EAST] * s
-    k_y = row[waves.K_EAST] * c - row[waves.K_NORTH] * s
-    phase = row[waves.K_NORTH] * x + row[waves.K_EAST] * y - row[waves.OMEGA] * t
-    phase = phase + row[waves.PHASE] + k_x * a + k_y * b
-    z = -0.5 * draft * (1.0 - nodes)
-    depth = float(np.sum(0.5 * draft * weights * np.exp(k * z)))
-    pressure = density * GRAVITY * row[waves.AMPLITUDE]
-    push = pressure * depth * area * np.sin(phase)
-    up = pressure * math.exp(-k * draft) * area * np.cos(phase)
-    # an upward force at (a, b): K = -b up, M = a up (bow up)
-    return np.array(
-        [
-            k_x * np.sum(push),
-            k_y * np.sum(push),
-            np.sum(push * (k_y * a - k_x * b)),
-            -np.sum(up),
-            -np.sum(b * up),
-            np.sum(a * up),
-        ]
-    )

@@ -1,6 +1,6 @@
 """Standard manoeuvring trials, simulated in calm water.
 
-Each returns a :class:`~usv_gym.manoeuvring.track.Track` that begins with the order, at full speed
+Each returns a :class:`~usv_gym.manoeuvring.indices.Track` that begins with the order, at full speed
 along x, with the ordered helm angle. The helm is a generator: it gets the true state and yields
 the next angle, so that a trial reads like its instructions.
 """
@@ -8,14 +8,13 @@ the next angle, so that a trial reads like its instructions.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
 
 from usv_gym.manoeuvring import indices
-from usv_gym.manoeuvring.indices import Criterion, Turning, Zigzag
-from usv_gym.manoeuvring.track import Track
+from usv_gym.manoeuvring.indices import Criterion, Track, Turning, Zigzag
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
@@ -26,10 +25,7 @@ from usv_kernel.errors import UsvTwinError
 __all__ = [
     "StandardTrials",
     "TrialError",
-    "pull_out",
-    "spiral",
     "standard_trials",
-    "stopping",
     "turning_circle",
     "zigzag",
 ]
@@ -38,12 +34,6 @@ HelmProgram = Generator[float, np.ndarray, None]
 
 LIMIT = 200.0
 """Duration after which a trial fails, in times to sail a length at the approach speed."""
-
-WINDOW, STEADY = 5.0, 2e-4
-"""A turn is steady if r L / U changes by less than STEADY while the ship sails WINDOW lengths."""
-
-SPIRAL = tuple(math.radians(angle) for angle in (20, 15, 10, 7, 5, 4, 3, 2, 1))
-"""Helm angles of the spiral to each side, rad."""
 
 
 class TrialError(UsvTwinError):
@@ -94,70 +84,6 @@ def zigzag(
         )
     program = _zigzag(switch, trial.checked_angle(helm), overshoots)
     return trial.sail({"zigzag": program})[0]
-
-
-def pull_out(
-    vessel: Vessel,
-    *,
-    angle: float,
-    n: float,
-    speed: float | None = None,
-    dof: int = 3,
-    dt: float | None = None,
-) -> tuple[Track, Track]:
-    """Simulate turns to starboard and to port with the helm put back after 360 degrees.
-
-    Options as for :func:`turning_circle`; the tracks end at a steady rate.
-    """
-    trial = _Trial(vessel, n, speed, dof, dt)
-    angle = abs(trial.checked_angle(angle))
-    programs = {
-        f"pull-out from {side}": _pull_out(sign * angle, trial)
-        for side, sign in (("starboard", 1.0), ("port", -1.0))
-    }
-    starboard, port = trial.sail(programs)
-    return starboard, port
-
-
-def spiral(
-    vessel: Vessel,
-    *,
-    n: float,
-    angles: Sequence[float] = SPIRAL,
-    speed: float | None = None,
-    dof: int = 3,
-    dt: float | None = None,
-) -> Track:
-    """Simulate Dieudonne's direct spiral: helm from starboard to port and back, in steady steps.
-
-    ``angles`` are the falling helm angles of one side, rad; mirrored for the other. Options as for
-    :func:`turning_circle`.
-    """
-    trial = _Trial(vessel, n, speed, dof, dt)
-    down = [*(trial.checked_angle(angle) for angle in angles), 0.0, *(-a for a in angles[::-1])]
-    program = _hold([*down, *down[-2::-1]], trial)
-    return trial.sail({"spiral": program}, limit=LIMIT + 100.0 * len(down))[0]
-
-
-def stopping(
-    vessel: Vessel,
-    *,
-    n: float,
-    astern: float | None = None,
-    speed: float | None = None,
-    dof: int = 3,
-    dt: float | None = None,
-) -> Track:
-    """Simulate a stopping trial: shafts astern, helm amidships, until the ship stops.
-
-    ``astern`` is the shaft speed astern, rev/s, above 0, by default that of the approach. Options
-    as for :func:`turning_circle`.
-    """
-    trial = _Trial(vessel, n, speed, dof, dt)
-    astern = n if astern is None else astern
-    if not astern > 0.0:
-        raise TrialError(f"astern = {astern:g} rev/s must be above 0")
-    return trial.sail({"stopping": _stop()}, order=-astern)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,11 +188,9 @@ class _Trial:
             )
         return angle
 
-    def sail(
-        self, programs: dict[str, HelmProgram], order: float | None = None, limit: float = LIMIT
-    ) -> list[Track]:
+    def sail(self, programs: dict[str, HelmProgram]) -> list[Track]:
         """Return the tracks of boats simulated at once, each until its helm program ends."""
-        boats, order = len(programs), self.n if order is None else order
+        boats = len(programs)
         simulation = Simulation(
             boats,
             self.vessel,
@@ -282,13 +206,13 @@ class _Trial:
         state[:, [fr.N_LEFT, fr.N_RIGHT]] = self.n
         angles = np.array([next(program) for program in programs.values()])
         states, orders = [state.copy()], [np.zeros(boats)]
-        cmd = self.vessel.command(order, angles)
+        cmd = self.vessel.command(self.n, angles)
         ends, active = [0] * boats, dict(enumerate(programs.values()))
         while active:
-            if len(states) * self.dt * self.speed > limit * self.length:
+            if len(states) * self.dt * self.speed > LIMIT * self.length:
                 raise TrialError(
                     f"{self.vessel.name}: {list(programs)[next(iter(active))]}: not done in the "
-                    f"time to sail {limit:g} lengths ({len(states) * self.dt:.0f} s)"
+                    f"time to sail {LIMIT:g} lengths ({len(states) * self.dt:.0f} s)"
                 )
             simulation.step(cmd)
             states.append(state.copy())
@@ -300,7 +224,7 @@ class _Trial:
                     del active[i]
                 elif angle != angles[i]:
                     angles[i] = angle
-                    cmd[i] = self.vessel.command(order, angle)
+                    cmd[i] = self.vessel.command(self.n, angle)
         all_states, all_orders = np.array(states), np.array(orders)
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         return [
@@ -337,29 +261,3 @@ def _zigzag(switch: float, helm: float, overshoots: int) -> HelmProgram:
     # the last overshoot is over when the heading is 0 again
     while side * state[fr.PSI] < 0.0:
         state = yield angle
-
-
-def _pull_out(angle: float, trial: _Trial) -> HelmProgram:
-    state = yield angle
-    while abs(state[fr.PSI]) < 2.0 * math.pi:
-        state = yield angle
-    yield from _hold([0.0], trial)
-
-
-def _hold(angles: Sequence[float], trial: _Trial) -> HelmProgram:
-    """Hold each angle until the rate of turn is steady, see :data:`STEADY`."""
-    seconds = trial.length / trial.speed
-    window = math.ceil(WINDOW * seconds / trial.dt)
-    for angle in angles:
-        before = rate = math.nan
-        while not abs(rate - before) * seconds < STEADY:
-            before = rate
-            for _ in range(window):
-                state = yield angle
-            rate = float(state[fr.R])
-
-
-def _stop() -> HelmProgram:
-    state = yield 0.0
-    while state[fr.U] > 0.0:
-        state = yield 0.0

@@ -41,41 +41,31 @@ DRIFT_SUMS = 6
 _TINY = 1e-30
 
 
-def drift_coefficients(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@kernel
+def drift_coefficients(ratio: float) -> tuple[float, float, float]:
     """Return the mean-drift coefficients C_X, C_Y, C_N as printed.
 
     ``ratio`` is wave length over ship length; the regression holds from 0.2 to 1.
     Source: Eq (19), after Daidola et al. 1986.
     """
-    x = np.asarray(ratio, dtype=float)
+    x = ratio
     return (
-        0.05 - 0.2 * x + 0.75 * x**2 - 0.51 * x**3,
-        0.46 + 6.83 * x - 15.65 * x**2 + 8.44 * x**3,
-        -0.11 + 0.68 * x - 0.79 * x**2 + 0.21 * x**3,
+        0.05 + x * (-0.2 + x * (0.75 - 0.51 * x)),
+        0.46 + x * (6.83 + x * (-15.65 + 8.44 * x)),
+        -0.11 + x * (0.68 + x * (-0.79 + 0.21 * x)),
     )
 
 
-def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@kernel
+def drift_limited(ratio: float) -> tuple[float, float, float]:
     """Return the mean-drift coefficients, kept to where the regression holds.
 
     Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2). Printed
     polynomials are cubic and would push a 7.5 m boat with four times its weight. C_Y is at most 1,
     the drift of a wall that reflects all.
     """
-    x = np.asarray(ratio, dtype=float)
-    fade = np.cos(0.5 * math.pi * np.clip((x - 1.0) / 0.3, 0.0, 1.0)) ** 2
-    c_x, c_y, c_n = drift_coefficients(np.clip(x, 0.2, 1.0))
-    return c_x * fade, np.minimum(c_y, 1.0) * fade, c_n * fade
-
-
-@kernel
-def drift_limited(ratio: float) -> tuple[float, float, float]:
-    """Return what :func:`drift_coefficients_limited` does, of one ratio."""
     fade = math.cos(0.5 * math.pi * min(max((ratio - 1.0) / 0.3, 0.0), 1.0)) ** 2
-    x = min(max(ratio, 0.2), 1.0)
-    c_x = 0.05 + x * (-0.2 + x * (0.75 - 0.51 * x))
-    c_y = 0.46 + x * (6.83 + x * (-15.65 + 8.44 * x))
-    c_n = -0.11 + x * (0.68 + x * (-0.79 + 0.21 * x))
+    c_x, c_y, c_n = drift_coefficients(min(max(ratio, 0.2), 1.0))
     return c_x * fade, min(c_y, 1.0) * fade, c_n * fade
 
 

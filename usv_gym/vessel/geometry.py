@@ -9,21 +9,12 @@ from usv_gym.vessel.drives import propulsion_parts
 from usv_gym.vessel.form import Form
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.mesh import Mesh
-from usv_gym.vessel.mesh_files import PROPULSION, encode_mesh, read_mesh
+from usv_gym.vessel.mesh_files import read_mesh
 from usv_gym.vessel.parts import COLOURS, Boat, Part
 from usv_gym.vessel.superstructure import fixed_parts
 from usv_gym.vessel.vessel import Vessel
 
-__all__ = [
-    "COLOURS",
-    "Boat",
-    "Form",
-    "Mesh",
-    "Part",
-    "boat_of",
-    "encode_mesh",
-    "hull_of",
-]
+__all__ = ["COLOURS", "Boat", "Form", "Mesh", "Part", "boat_of", "hull_of"]
 
 
 def boat_of(source: Vessel | Form) -> Boat:
@@ -47,6 +38,5 @@ def hull_of(vessel: Vessel) -> Mesh:
     """
     if vessel.mesh is None:
         return HullLines(Form.of(vessel)).mesh
-    boat = boat_of(vessel)
-    fixed = [part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION]
-    return Mesh.joined(part.mesh.moved(boat.position_of(part)) for part in fixed)
+    drives = {part.name for part in propulsion_parts(Form.of(vessel))}
+    return Mesh.joined(part.mesh for part in boat_of(vessel).parts if part.name not in drives)

@@ -1,4 +1,4 @@
-"""Mesh files of boats: export, and boats whose hull is a mesh file."""
+"""Boats whose hull is a mesh file."""
 
 from __future__ import annotations
 
@@ -12,75 +12,14 @@ import numpy as np
 from usv_gym.vessel.form import Form
 from usv_gym.vessel.mesh import Mesh
 from usv_gym.vessel.parts import COLOURS, Boat, Colour, Part
-from usv_gym.vessel.vessel import MESH_FORMATS, VesselError
+from usv_gym.vessel.vessel import VesselError
 
-__all__ = [
-    "PROPULSION",
-    "encode_mesh",
-    "read_mesh",
-]
+__all__ = ["read_mesh"]
 
 # axes of the ship -> axes of glTF (y up, z forward, x to port), or of any other file
 _GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])
-
-PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
-"""First words of the names of parts that are drawn if a mesh file has none."""
-
-
-def encode_mesh(boat: Boat, suffix: str) -> bytes:
-    """Return the content of a mesh file of a boat, in m, origin amidships on the water line.
-
-    ``.glb``: all parts as named nodes with colours; y up, z forward, x to port (glTF).
-    ``.ply``, ``.obj``, ``.stl``: one surface of all parts but the propulsion; z up, x forward, y to
-    port. VesselError for any other suffix, and if trimesh is missing.
-    """
-    if suffix not in MESH_FORMATS:
-        raise VesselError(f"no mesh format is called {suffix!r}; use {', '.join(MESH_FORMATS)}")
-    trimesh = _trimesh()
-    if suffix != ".glb":
-        # in a vessel's mesh, such drives would not turn
-        fixed = [part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION]
-        mesh = Mesh.joined(part.mesh.moved(boat.position_of(part)) for part in fixed)
-        solid = trimesh.Trimesh(mesh.vertices @ _UPRIGHT.T, mesh.faces, process=False)
-        if suffix == ".ply":
-            counts = [len(part.mesh.faces) for part in fixed]
-            solid.visual.face_colors = np.repeat([p.colour for p in fixed], counts, axis=0)
-        content = solid.export(file_type=suffix[1:])
-        return content.encode() if isinstance(content, str) else bytes(content)
-    scene = trimesh.Scene(base_frame="boat")
-    for part in boat.parts:
-        solid = trimesh.Trimesh(part.mesh.vertices @ _GLTF.T, part.mesh.faces, process=False)
-        solid.visual = trimesh.visual.TextureVisuals(
-            material=trimesh.visual.material.PBRMaterial(
-                name=part.name,
-                baseColorFactor=[*part.colour, 255],
-                metallicFactor=0.1,
-                roughnessFactor=0.7,
-            )
-        )
-        place = np.eye(4)
-        place[:3, 3] = _GLTF @ np.array(part.position)
-        scene.add_geometry(
-            solid,
-            node_name=part.name,
-            geom_name=part.name,
-            parent_node_name=part.parent or "boat",
-            transform=place,
-        )
-    return bytes(scene.export(file_type="glb"))
-
-
-def _trimesh() -> Any:
-    """Return the optional module trimesh."""
-    try:
-        import trimesh
-    except ImportError:
-        raise VesselError(
-            "mesh files need trimesh, which is not installed: pip install 'usv-twin[view]'"
-        ) from None
-    return trimesh
 
 
 def read_mesh(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
@@ -89,8 +28,13 @@ def read_mesh(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
     The file's meshes of equal names replace those of the ``moving`` propulsion. VesselError: it
     cannot be read, has no hull, or has a wrong size or place.
     """
-    trimesh = _trimesh()
     place = f"[vessel] mesh: {path}:"
+    try:
+        import trimesh
+    except ImportError:
+        raise VesselError(
+            f"{place} mesh files need trimesh, which is not installed: pip install 'usv-twin[view]'"
+        ) from None
     try:
         with np.errstate(all="ignore"):  # non-finite numbers are reported below
             scene = trimesh.load_scene(

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from usv_gym.vessel.mesh import Array, Mesh
-from usv_kernel.errors import UsvTwinError
 
-__all__ = ["COLOURS", "Boat", "Colour", "Part", "PartError"]
+__all__ = ["COLOURS", "Boat", "Colour", "Part"]
 
 Colour = tuple[int, int, int]
 
@@ -24,12 +23,6 @@ COLOURS: dict[str, Colour] = {
     "propeller": (181, 134, 52),
 }
 """Red, green and blue (0 to 255) by kind of part; rudders have the colour of drives."""
-
-
-class PartError(UsvTwinError, KeyError):
-    """A name that no part of a boat has."""
-
-    __str__ = ValueError.__str__  # KeyError would put the message in quotes
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +56,7 @@ class Boat:
     parts: tuple[Part, ...]  # parents before their children
 
     def __getitem__(self, name: str) -> Part:
-        for part in self.parts:
-            if part.name == name:
-                return part
-        raise PartError(f"no part {name!r}; there are: {', '.join(p.name for p in self.parts)}")
+        return {part.name: part for part in self.parts}[name]
 
     def position_of(self, part: Part) -> Array:
         """Return the position of a part in the ship's frame with straight drives, m, shape (3,)."""

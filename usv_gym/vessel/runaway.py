@@ -22,7 +22,7 @@ from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.weather import constant
 from usv_gym.vessel.schema import KIND_SCHEMA, OPTIONAL, SCHEMA
 from usv_gym.vessel.vessel import Vessel, VesselError
-from usv_gym.vessel.vessel_file import vessel_names
+from usv_gym.vessel.vessel_file import shipped_names
 from usv_kernel.records import Record
 
 __all__ = [
@@ -234,7 +234,7 @@ def _typical() -> dict[str, tuple[float, float, float]]:
     A vessel may lack the optional terms: their ranges include 0.
     """
     found: dict[str, list[float]] = {}
-    for name in vessel_names():
+    for name in shipped_names():
         values = Vessel.load(name).values
         for key, value in values.items():
             scale = values["length_waterline"] ** DIMENSIONS[_UNIT[key]]

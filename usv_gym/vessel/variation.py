@@ -6,11 +6,9 @@ an environment can draw one at every reset.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import namedtuple
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +20,23 @@ from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.waves import FACTOR_ROWS, LOAD_ROWS, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER, constant
-from usv_gym.vessel.schema import VesselError
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.random import borrowed_stream, fill_normal
 from usv_kernel.records import Record, as_record, field_at, record_size
 
-if TYPE_CHECKING:
-    from usv_gym.vessel.vessel import Vessel
-
 __all__ = [
     "FACTORS",
+    "FIXED",
     "LAW",
+    "NO_SPEED",
     "SHAFT_SPEEDS",
-    "BoatClass",
-    "DrawnBoat",
+    "SIDES_AT",
+    "TRIES",
     "Factors",
+    "draw",
     "draw_boat",
+    "law_of",
     "scratch_of_draws",
 ]
 
@@ -52,7 +50,7 @@ _GEOMETRY = frozenset((
 ))
 """Geometry and inertia; they vary less than coefficients, see :meth:`Vessel.varied`."""
 
-_FIXED = frozenset((
+FIXED = frozenset((
     "kind", "water_density", "units", "shaft_lag", "shaft_rate", "shaft_speed_max",
     "shaft_speed_service", "shaft_speed_manoeuvring", "steer_lag", "steer_rate", "steer_max",
 ))
@@ -63,7 +61,7 @@ _LOADED = ("mass", "I_xx", "I_yy", "I_zz", "draft", "m_x", "m_y", "m_z", "J_xx",
 # fmt: on
 
 FACTORS = (*par.SCALARS, "resistance_force", "resistance_speed", "thrust_left", "thrust_right")
-"""What the factors of a drawn boat multiply, see :class:`DrawnBoat`."""
+"""What the factors of a drawn boat multiply, see :class:`usv_gym.vessel.vessel.DrawnBoat`."""
 
 Factors = namedtuple("Factors", FACTORS)  # type: ignore[misc]
 """The same by name: ``factors.mass``."""
@@ -84,7 +82,7 @@ _LENGTH, _OVERALL, _BEAM, _PLANE = (
 
 _LOAD_AT = tuple(par.SCALARS.index(key) for key in _LOADED)
 
-_SPEEDS_AT, _FORCES_AT, _SIDES_AT = (
+_SPEEDS_AT, _FORCES_AT, SIDES_AT = (
     slice(field_at(par.PARAMETERS, key), field_at(par.PARAMETERS, key) + size)
     for key, size in (
         ("resistance_speed", par.RESISTANCE_POINTS),
@@ -234,7 +232,7 @@ def _fill(factors: np.ndarray, law: Record, flat: np.ndarray) -> None:
         flat[speed] = nominal[speed] * factors[_N_SCALARS + 1]
         flat[force] = nominal[force] * factors[_N_SCALARS]
     for i in range(2):
-        side = _SIDES_AT.start + i
+        side = SIDES_AT.start + i
         flat[side] = (1.0 + nominal[side]) * factors[_N_SCALARS + 2 + i] - 1.0
 
 
@@ -329,118 +327,49 @@ def _draw_flat(
     return draw_boat(stream, load, as_record(law, LAW), out[0], out[1], out[2])
 
 
-class DrawnBoat(NamedTuple):
-    """A boat of a kind."""
-
-    vessel: Vessel
-    factors: Array
-    """Of :data:`FACTORS`: each number over that of the nominal vessel; 1 where that has none."""
-    speed: float
-    """Steady speed at the manoeuvring shaft speed in calm water, m/s."""
-
-
-class BoatClass:
-    """Boats like one vessel; see :meth:`usv_gym.Vessel.varied` for how they differ.
+def law_of(
+    values: Mapping[str, float],
+    nominal: Array,
+    speed: float,
+    spread: float,
+    built: float,
+    sides: float,
+) -> Array:
+    """Return flat memory of :data:`LAW` for boats like one with these values, for kernels.
 
     Parameters
     ----------
-    vessel : Vessel
-        The nominal boat.
-    spread, built : float
-        Standard deviations of the factors of coefficients, and of geometry and inertia (a third of
-        the former if left out).
-    sides : float
-        Standard deviation of the factor of each side's thrust, with two propulsion units.
-
-    Attributes
-    ----------
-    law : ndarray
-        Flat memory of :data:`LAW`, for kernels.
-
-    Raises
-    ------
-    VesselError
-        A standard deviation is negative or infinite.
+    values : Mapping[str, float]
+        Numbers of the nominal boat, SI units.
+    nominal : ndarray
+        Its flat parameters.
+    speed : float
+        Its steady speed at the manoeuvring shaft speed, m/s.
+    spread, built, sides : float
+        Standard deviations of the factors of coefficients, of geometry and inertia, and of the
+        thrust of each side.
     """
-
-    def __init__(
-        self, vessel: Vessel, spread: float, built: float | None = None, sides: float = 0.0
-    ) -> None:
-        built = spread / 3.0 if built is None else built
-        if not (math.isfinite(spread + built + sides) and min(spread, built, sides) >= 0.0):
-            raise VesselError(
-                f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
-            )
-        self.vessel, self.spread, self.built = vessel, spread, built
-        self._scratch = scratch_of_draws()
-        shafts = np.array([vessel.values[key] for key in SHAFT_SPEEDS])
-        self.shaft_speed, self.speed = float(shafts[0]), vessel.straight_speed(float(shafts[0]))
-        flat = np.array([vessel.packed]).view(np.float64).copy()
-        varies = spread + built > 0.0
-        record = np.zeros(1, LAW)
-        law = record[0]
-        law["sd"] = [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
-        # numbers that a vessel lacks are filled in for kernels, and stay as they are
-        for i, key in enumerate(par.SCALARS):
-            if key not in vessel.values or key in _FIXED:
-                law["sd"][i] = -1.0
-        law["sides"] = sides if vessel.values["units"] == 2.0 else 0.0
-        law["nominal"], law["shafts"], law["speed"] = flat, shafts, self.speed
-        law["growth"] = max(_drift(flat, shafts, self._scratch), 0.0) if varies else 0.0
-        law["varies"] = varies
-        self.law = record.view(float)
-        self._nominal = np.array(list(vessel.values.values()))
-        beam, roll = "beam", "zeta_roll"
-        same = {"hull_beam": beam, "spacing": beam, "zeta_roll_viscous": roll}
-        # what kernels do not read stays as it is: the kind stands for a factor of 1
-        self._places = np.array(
-            [
-                par.SCALARS.index("kind" if key in _FIXED else same.get(key, key))
-                for key in vessel.values
-            ]
-        )
-        fields = (item.name for item in dataclasses.fields(vessel))
-        self._fields = {name: getattr(vessel, name) for name in fields}
-        self._resistance = np.array([vessel.resistance_speed, vessel.resistance_force])
-
-    def draw(self, rng: np.random.Generator, load: float = 1.0) -> DrawnBoat:
-        """Return a boat; equal states of ``rng`` give equal boats.
-
-        ``load`` multiplies mass, moments of inertia, added masses and draft of what was drawn.
-        VesselError: no boat could be drawn.
-        """
-        factors, flat = np.ones(len(FACTORS)), np.zeros(record_size(par.PARAMETERS))
-        with borrowed_stream(rng) as stream:
-            speed = _draw_flat(stream, float(load), self.law, (factors, flat, self._scratch))
-        if not speed > 0.0:
-            raise self.refusal(speed, load)
-        return DrawnBoat(self.boat(factors, flat), factors, speed)
-
-    def refusal(self, speed: float, load: float) -> VesselError:
-        """Return the error of what :func:`draw_boat` gives in place of a speed."""
-        if speed == NO_SPEED:
-            return VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
-        return VesselError(
-            f"{self.vessel.name}: none of {TRIES} boats drawn with spread = {self.spread:g}, "
-            f"built = {self.built:g} holds speed and course; use smaller spreads"
-        )
-
-    def boat(self, factors: Array, flat: Array) -> Vessel:
-        """Return the vessel of drawn factors and flat parameters, which need no other check."""
-        if (factors == 1.0).all():
-            return self.vessel
-        force, speed = factors[_N_SCALARS], factors[_N_SCALARS + 1]
-        values = (factors[self._places] * self._nominal).tolist()
-        changed: dict[str, Any] = {
-            "values": MappingProxyType(dict(zip(self.vessel.values, values, strict=True))),
-            "resistance_speed": tuple((speed * self._resistance[0]).tolist()),
-            "resistance_force": tuple((force * self._resistance[1]).tolist()),
-            "side_thrust": tuple(flat[_SIDES_AT].tolist()),
-            "packed": flat.copy().view(par.PARAMETERS)[0],
-        }
-        vessel = object.__new__(type(self.vessel))
-        vessel.__dict__.update(self._fields, **changed)
-        return vessel
+    record = np.zeros(1, LAW)
+    law = record[0]
+    law["sd"] = [built if key in _GEOMETRY else spread for key in par.SCALARS] + [spread, built]
+    # numbers that a vessel lacks are filled in for kernels, and stay as they are
+    for i, key in enumerate(par.SCALARS):
+        if key not in values or key in FIXED:
+            law["sd"][i] = -1.0
+    law["sides"] = sides if values["units"] == 2.0 else 0.0
+    law["nominal"], law["speed"] = nominal, speed
+    law["shafts"] = shafts = np.array([values[key] for key in SHAFT_SPEEDS])
+    law["varies"] = varies = spread + built > 0.0
+    law["growth"] = max(_drift(nominal, shafts, scratch_of_draws()), 0.0) if varies else 0.0
+    return record.view(float)
 
 
-assert record_size(par.PARAMETERS) == _SIDES_AT.stop
+def draw(rng: np.random.Generator, load: float, law: Array) -> tuple[float, Array, Array]:
+    """Return speed, factors and flat parameters of a boat, see :func:`draw_boat`."""
+    factors, flat = np.ones(len(FACTORS)), np.zeros(record_size(par.PARAMETERS))
+    with borrowed_stream(rng) as stream:
+        speed = _draw_flat(stream, load, law, (factors, flat, scratch_of_draws()))
+    return speed, factors, flat
+
+
+assert record_size(par.PARAMETERS) == SIDES_AT.stop

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,16 @@ from usv_gym.vessel.schema import (
     check_resistance,
     check_values,
 )
-from usv_gym.vessel.variation import BoatClass
+from usv_gym.vessel.variation import (
+    FACTORS,
+    FIXED,
+    NO_SPEED,
+    SHAFT_SPEEDS,
+    SIDES_AT,
+    TRIES,
+    draw,
+    law_of,
+)
 from usv_gym.vessel.vessel_file import read_vessel, vessel_names
 from usv_kernel.records import Record
 from usv_kernel.servos import Servos
@@ -41,6 +50,8 @@ from usv_kernel.servos import Servos
 __all__ = [
     "KIND_SCHEMA",
     "MESH_FORMATS",
+    "BoatClass",
+    "DrawnBoat",
     "Vessel",
     "VesselError",
     "course_eigenvalues",
@@ -315,7 +326,7 @@ class Vessel:
                 "balance the resistance at any speed. K_T must be above 0 at rest and fall with J, "
                 "and resistance (R_0, D_u, D_uu or its curve) must grow with speed"
             )
-        return _root(surplus, 0.0, top)
+        return _root(surplus, 0.0, top, xtol=1e-9)
 
     def shaft_speed_for(self, speed: float) -> float:
         """Return the shaft speed (rev/s) for a speed (m/s) straight ahead in calm water."""
@@ -324,7 +335,7 @@ class Vessel:
         top = 1.0
         while self.straight_speed(top) < speed:
             top *= 2.0
-        return _root(lambda n: self.straight_speed(n) - speed, 0.0, top, 1e-10)
+        return _root(lambda n: self.straight_speed(n) - speed, 0.0, top, xtol=1e-10)
 
     def varied(
         self, rng: np.random.Generator, spread: float = 0.15, built: float | None = None
@@ -383,37 +394,111 @@ def course_eigenvalues(vessel: Vessel, n: float) -> tuple[complex, complex]:
     return first, second
 
 
-def _root(f: Callable[[float], float], a: float, b: float, xtol: float = 1e-9) -> float:
-    """Return the root of f between a and b, equal to ``scipy.optimize.brentq(f, a, b, xtol)``."""
-    # Brent's method; importing scipy.optimize takes a third of a second
-    x_pre, x, f_pre, fx = a, b, f(a), f(b)
-    x_blk = f_blk = step_pre = step = 0.0
-    while True:
-        if f_pre != 0.0 and fx != 0.0 and (f_pre < 0.0) != (fx < 0.0):
-            x_blk, f_blk, step_pre = x_pre, f_pre, x - x_pre
-            step = step_pre
-        if abs(f_blk) < abs(fx):
-            x_pre, x, x_blk = x, x_blk, x
-            f_pre, fx, f_blk = fx, f_blk, fx
-        delta = (xtol + 4.0 * math.ulp(1.0) * abs(x)) / 2.0
-        half = (x_blk - x) / 2.0
-        if fx == 0.0 or abs(half) < delta:
-            return x
-        trial = math.inf
-        if abs(step_pre) > delta and abs(fx) < abs(f_pre):
-            if x_pre == x_blk:
-                trial = -fx * (x - x_pre) / (fx - f_pre)
-            else:
-                d_pre, d_blk = (f_pre - fx) / (x_pre - x), (f_blk - fx) / (x_blk - x)
-                trial = -fx * (f_blk * d_blk - f_pre * d_pre) / (d_blk * d_pre * (f_blk - f_pre))
-        if 2.0 * abs(trial) < min(abs(step_pre), 3.0 * abs(half) - delta):
-            step_pre, step = step, trial
-        else:
-            step_pre = step = half
-        x_pre, f_pre = x, fx
-        x += step if abs(step) > delta else math.copysign(delta, half)
-        fx = f(x)
-
-
 def _rebuild(fields: dict[str, Any]) -> Vessel:
     return Vessel(**fields)
+
+
+def _root(f: Callable[[float], float], a: float, b: float, xtol: float) -> float:
+    """Return the root of f between a and b by Brent's method."""
+    from scipy.optimize import brentq  # a third of a second
+
+    return float(brentq(f, a, b, xtol=xtol))
+
+
+class DrawnBoat(NamedTuple):
+    """A boat of a kind."""
+
+    vessel: Vessel
+    factors: NDArray[np.float64]
+    """Of :data:`FACTORS`: each number over that of the nominal vessel; 1 where that has none."""
+    speed: float
+    """Steady speed at the manoeuvring shaft speed in calm water, m/s."""
+
+
+class BoatClass:
+    """Boats like one vessel; see :meth:`Vessel.varied` for how they differ.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The nominal boat.
+    spread, built : float
+        Standard deviations of the factors of coefficients, and of geometry and inertia (a third of
+        the former if left out).
+    sides : float
+        Standard deviation of the factor of each side's thrust, with two propulsion units.
+
+    Attributes
+    ----------
+    law : ndarray
+        Flat memory of :data:`~usv_gym.vessel.variation.LAW`, for kernels.
+
+    Raises
+    ------
+    VesselError
+        A standard deviation is negative or infinite.
+    """
+
+    def __init__(
+        self, vessel: Vessel, spread: float, built: float | None = None, sides: float = 0.0
+    ) -> None:
+        built = spread / 3.0 if built is None else built
+        if not (math.isfinite(spread + built + sides) and min(spread, built, sides) >= 0.0):
+            raise VesselError(
+                f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
+            )
+        self.vessel, self.spread, self.built = vessel, spread, built
+        self.shaft_speed = vessel.values[SHAFT_SPEEDS[0]]
+        self.speed = vessel.straight_speed(self.shaft_speed)
+        flat = np.array([vessel.packed]).view(np.float64).copy()
+        self.law = law_of(vessel.values, flat, self.speed, spread, built, sides)
+        self._nominal = np.array(list(vessel.values.values()))
+        same = {"hull_beam": "beam", "spacing": "beam", "zeta_roll_viscous": "zeta_roll"}
+        # what kernels do not read stays as it is: the kind stands for a factor of 1
+        self._places = np.array(
+            [
+                par.SCALARS.index("kind" if key in FIXED else same.get(key, key))
+                for key in vessel.values
+            ]
+        )
+        self._fields = {
+            item.name: getattr(vessel, item.name) for item in dataclasses.fields(vessel)
+        }
+        self._resistance = np.array([vessel.resistance_speed, vessel.resistance_force])
+
+    def draw(self, rng: np.random.Generator, load: float = 1.0) -> DrawnBoat:
+        """Return a boat; equal states of ``rng`` give equal boats.
+
+        ``load`` multiplies mass, moments of inertia, added masses and draft of what was drawn.
+        VesselError: no boat could be drawn.
+        """
+        speed, factors, flat = draw(rng, float(load), self.law)
+        if not speed > 0.0:
+            raise self.refusal(speed, load)
+        return DrawnBoat(self.boat(factors, flat), factors, speed)
+
+    def refusal(self, speed: float, load: float) -> VesselError:
+        """Return the error of what :func:`draw` gives in place of a speed."""
+        if speed == NO_SPEED:
+            return VesselError(f"{self.vessel.name}: a load of {load:g} leaves it no speed")
+        return VesselError(
+            f"{self.vessel.name}: none of {TRIES} boats drawn with spread = {self.spread:g}, "
+            f"built = {self.built:g} holds speed and course; use smaller spreads"
+        )
+
+    def boat(self, factors: NDArray[np.float64], flat: NDArray[np.float64]) -> Vessel:
+        """Return the vessel of drawn factors and flat parameters, which need no other check."""
+        if (factors == 1.0).all():
+            return self.vessel
+        force, speed = (factors[FACTORS.index(f"resistance_{of}")] for of in ("force", "speed"))
+        values = (factors[self._places] * self._nominal).tolist()
+        changed: dict[str, Any] = {
+            "values": MappingProxyType(dict(zip(self.vessel.values, values, strict=True))),
+            "resistance_speed": tuple((speed * self._resistance[0]).tolist()),
+            "resistance_force": tuple((force * self._resistance[1]).tolist()),
+            "side_thrust": tuple(flat[SIDES_AT].tolist()),
+            "packed": flat.copy().view(par.PARAMETERS)[0],
+        }
+        vessel = object.__new__(type(self.vessel))
+        vessel.__dict__.update(self._fields, **changed)
+        return vessel

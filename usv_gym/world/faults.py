@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import re
 from abc import ABC, abstractmethod
@@ -189,24 +188,14 @@ class Disturbance(ABC):
 
     def record(self, dt: float) -> Record:
         """Return the record that :func:`measure` reads, for control steps of dt s."""
-        record = _untimed(
-            self.kind, self.effect, self.chance, tuple(self.sizes), self.factor
-        ).copy()
+        record = np.zeros(1, FAULT)[0]
+        record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
+        record["chance"] = self.chance
+        record["sizes"] = (*self.sizes, *SPIKE_SIZES[len(self.sizes) :])
+        record["factor"] = _FACTORS.get(self.effect, self.factor)
         for name, value in self._timing(dt).items():
             record[name] = value
         return record
-
-
-@functools.lru_cache(maxsize=64)
-def _untimed(
-    kind: str, effect: str, chance: float, sizes: tuple[float, ...], factor: float
-) -> Record:
-    """Return the record of a fault but for when it strikes; it is kept for the next reset."""
-    record = np.zeros(1, FAULT)[0]
-    record["bits"], record["effect"] = FAULT_KINDS[kind], EFFECTS[effect]
-    record["chance"], record["sizes"] = chance, (*sizes, *SPIKE_SIZES[len(sizes) :])
-    record["factor"] = _FACTORS.get(effect, factor)
-    return record
 
 
 @dataclass(frozen=True)

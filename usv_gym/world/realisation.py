@@ -31,39 +31,17 @@ __all__ = [
     "pm_components",
     "sum_drift",
     "sum_regression",
-    "wave_rows",
 ]
 
 Array = NDArray[np.float64]
 
 
-def wave_rows(
-    vessel: Vessel,
-    omega: ArrayLike,
-    amplitude: ArrayLike,
-    north: ArrayLike,
-    east: ArrayLike,
-    phase: ArrayLike,
-) -> Array:
-    """Return wave components (7, M) as the kernels read them.
-
-    The vessel's draft decides how deep the pressure reaches. ``omega`` is in rad/s, ``amplitude``
-    in m; ``north, east`` are the unit vector of each component's direction. ``phase`` is that at
-    the origin at time 0, rad.
-    """
-    omega, amplitude, north, east, phase = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
-    )
-    rows = np.empty((waves.WAVE_ROWS, len(omega)))
-    rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
-    rows[waves.K_NORTH], rows[waves.K_EAST] = north, east
-    return complete_rows(vessel, rows)
-
-
 def complete_rows(vessel: Vessel, rows: Array) -> Array:
-    """Complete wave components (7, M) in place, of which the unit vectors stand for wave numbers.
+    """Complete wave components (7, M) in place, and return them, as the kernels read them.
 
-    See :func:`wave_rows`.
+    Frequencies (rad/s), amplitudes (m) and phases at the origin at time 0 (rad) are given; the unit
+    vectors of their directions stand in place of the wave numbers. The vessel's draft decides how
+    deep the pressure reaches.
     """
     rho_g = vessel.values["water_density"] * GRAVITY
     fill_rows(rows, rows.shape[1], rho_g, vessel.values["draft"])
@@ -111,7 +89,7 @@ def gust_rows(kind: int, wind: float, rows: np.ndarray) -> None:
         width = _GUST_WIDTHS_HZ[i]
         f = _GUST_EDGES_HZ[i] + rows[0, i] * width
         rows[0, i], rows[1, i] = 2.0 * math.pi * f, 2.0 * math.pi * rows[1, i]
-        rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind, 10.0) * width)
+        rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind) * width)
 
 
 def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
@@ -352,8 +330,10 @@ class Sea:
         ``omega`` in rad/s, ``amplitude`` in m; ``to`` is where the wave goes, ``phase`` that at the
         origin at time 0, rad.
         """
-        rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
-        return dataclasses.replace(cls.calm(), waves=rows, vessel=vessel)
+        rows = np.zeros((waves.WAVE_ROWS, 1))
+        rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
+        rows[waves.K_NORTH], rows[waves.K_EAST] = math.cos(to), math.sin(to)
+        return dataclasses.replace(cls.calm(), waves=complete_rows(vessel, rows), vessel=vessel)
 
     def arrays(self) -> ship.Sea:
         """Return the arrays that the ship's kernels take, with scratch of their own."""

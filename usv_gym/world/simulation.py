@@ -14,8 +14,7 @@ from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
 from usv_gym.vessel.runaway import check_motion
-from usv_gym.vessel.variation import BoatClass
-from usv_gym.vessel.vessel import Vessel
+from usv_gym.vessel.vessel import BoatClass, Vessel
 from usv_gym.world import anemometer, sensors
 from usv_gym.world.faults import FAULT, Disturbance
 from usv_gym.world.realisation import Sea, load_rows

@@ -172,22 +172,34 @@ def test_the_same_again_gives_the_same():
     np.testing.assert_array_equal(first, second)
 
 
-def test_errors_name_the_remedy():
-    with pytest.raises(ControllerError, match="known: los, los-dr"):
-        make_controller("pid")
-    with pytest.raises(ControllerError, match="colour"):
-        make_controller("los", colour=1)
-    with pytest.raises(ControllerError, match="lookahead"):
-        make_controller("los", lookahead=0.0)
-    with pytest.raises(ControllerError, match="horizon = -1"):
-        make_controller("mpc-twin", horizon=-1.0)
-    los = make_controller("los-twin")
-    with pytest.raises(ControllerError, match="'twin_cross_track'"):
-        los.begin(gym.make_vec("USVTwin-v0", num_envs=1, observation="raw"))
-    with pytest.raises(ControllerError, match="twin='ukf'"):
-        ModelPredictive().begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="persistence"))
-    with pytest.raises(ControllerError, match="actions='common'"):
-        los.begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="ukf", actions="units"))
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("pid", {}, "known: los"),
+        ("los", {"colour": 1}, "colour"),
+        ("los", {"lookahead": 0.0}, "lookahead"),
+        ("mpc-twin", {"horizon": -1.0}, "horizon"),
+        ("dock-twin", {"slow": 0.0}, "slow"),
+        ("dock-twin", {"push": float("nan")}, "push"),
+        ("dock-twin", {"lookahead": -1.0}, "lookahead"),
+    ],
+)
+def test_wrong_options_are_named(name, options, said):
+    with pytest.raises(ControllerError, match=said):
+        make_controller(name, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "env", "said"),
+    [
+        ("los-twin", {"observation": "raw"}, "twin_cross_track"),
+        ("mpc-twin", {"twin": "persistence"}, "twin='ukf'"),
+        ("los-twin", {"twin": "ukf", "actions": "units"}, "actions='common'"),
+    ],
+)
+def test_boats_that_do_not_suit_are_named(name, env, said):
+    with pytest.raises(ControllerError, match=said):
+        make_controller(name).begin(gym.make_vec("USVTwin-v0", num_envs=1, **env))
 
 
 def docked(name, seeds, **options):
@@ -203,9 +215,3 @@ def test_a_boat_is_docked_in_wind_and_current_without_gps_for_a_while():
     assert share > 0.75 and not any(row["failed"] for row in rows)
     assert docked("los-twin", range(8000, 8012), **worlds)[0] < share - 0.1
     assert docked("dock-oracle", range(8000, 8012), **worlds)[0] > 0.75
-
-
-def test_options_of_docking_are_checked():
-    for wrong in ({"slow": 0.0}, {"push": float("nan")}, {"lookahead": -1.0}):
-        with pytest.raises(ControllerError, match=next(iter(wrong))):
-            make_controller("dock-twin", **wrong)

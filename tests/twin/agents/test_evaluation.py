@@ -11,8 +11,7 @@ import pytest
 from twin import Log, Particulars
 from twin.agents import evaluation
 from twin.agents.controllers import CONTROLLERS, make_controller
-from twin.agents.evaluation import evaluate, make_envs
-from twin.agents.forecast_table import forecast_rows, mean_scores
+from twin.agents.evaluation import evaluate, make_envs, mean_scores
 from twin.agents.policy import AgentError
 from twin.parallel import BACKENDS, results_of
 
@@ -141,11 +140,6 @@ def test_no_seeds_are_refused():
         evaluate(Fixed(0.0, 0.0), seeds=())
 
 
-def test_means_leave_out_what_is_missing():
-    values = np.array([[1.0, np.nan], [3.0, np.nan]])
-    np.testing.assert_array_equal(evaluation._mean(values), [2.0, np.nan])
-
-
 def test_motion_is_that_of_the_reward():
     agent = Fixed(0.7, 0.1)
     (row,) = evaluate(agent, seeds=(5,), task="seakeeping", max_episode_steps=20, sea="3")
@@ -179,10 +173,3 @@ def test_forecasts_are_graded_on_episodes_of_agents_that_see_no_twin(tmp_path):
     name = "known_loss_10s_displacement_m"
     weighed = sum(one[name] * one["n_loss"] for one in parts)
     assert whole[name] == pytest.approx(weighed / whole["n_loss"])
-    table = forecast_rows(parts)
-    assert [cells[:3] for cells in table] == [
-        [place, plan, ahead]
-        for place in ("with all sensors", "while sensors are lost")
-        for plan in ("that came", "held")
-        for ahead in ("1", "2", "5", "10")
-    ]

@@ -1,8 +1,7 @@
-"""Ray: RLlib trains on the environment, and evaluations are spread over a cluster."""
+"""Ray: RLlib trains on the environment, on one machine and on a cluster."""
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -10,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 if find_spec("ray") is None:
     pytest.skip("Ray is not installed: pip install 'usv-twin[rllib]'", allow_module_level=True)
@@ -52,22 +50,3 @@ def test_rllib_trains_with_two_env_runners(tmp_path):
 @needs_rllib
 def test_rllib_trains_on_a_cluster_that_is_there(tmp_path, address):
     train(tmp_path, "--address", address)
-
-
-def evaluate(file, *workers):
-    from twin.cli.main import app
-
-    asked = ("evaluate", "los", "los-dr", "--seeds", "1-2", "--sea", "0,2")
-    words = (*asked, "--faults", "none,gps10@1", "--json", str(file), *workers)
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
-    return json.loads(file.read_text())
-
-
-def test_evaluation_on_two_workers_is_that_in_one_process(tmp_path, monkeypatch, request):
-    alone = evaluate(tmp_path / "alone.json")
-    assert len(alone) == 16
-    workers = ("--jobs", "2", "--backend", "ray")
-    assert evaluate(tmp_path / "here.json", *workers) == alone
-    monkeypatch.setenv("RAY_ADDRESS", request.getfixturevalue("address"))
-    assert evaluate(tmp_path / "there.json", *workers) == alone

@@ -70,7 +70,3 @@ def test_single_file_ppo_keeps_the_policy_when_stopped(ppo, monkeypatch, capsys)
     assert len(calls) == 1 and curve == []
     assert "kept" in capsys.readouterr().out
     assert agent.actor[0].in_features == 14
-
-
-def test_single_file_ppo_has_at_most_200_lines():
-    assert len(EXAMPLE.read_text(encoding="utf-8").splitlines()) <= 200

@@ -11,9 +11,8 @@ import pytest
 
 from twin.benchmark import runner as bench
 from twin.benchmark import scores
-from twin.benchmark.figures import deck_figure
 from twin.benchmark.loading import load_run, with_faults
-from twin.benchmark.metrics import METRICS, summarise
+from twin.benchmark.metrics import METRICS
 from twin.benchmark.protocol import (
     FULL,
     FULL_CASES,
@@ -67,35 +66,17 @@ def test_rows_are_complete(small):
     rows = results["rows"]
     # scenarios x faults x seeds x predictors x plans x channels x horizons
     assert len(rows) == 1 * 2 * 2 * 3 * 2 * 6 * 4
-    keys = {
-        *("scenario", "case", "fault", "sea", "grade", "seed", "predictor", "plan"),
-        *("channel", "horizon_s", "mae", "mse", "crps", "n"),
-    }
     for row in rows:
-        assert set(row) == keys
         assert row["plan"] in ("known", "hold")
         assert row["n"] == 11  # every second from 30 to 40 s
         assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
         assert row["crps"] > 0.0
         assert (row["case"], row["sea"], row["grade"]) == (row["fault"], "2", "typical")
-    keys = [
-        "scenario",
-        "case",
-        "fault",
-        "sea",
-        "grade",
-        "predictor",
-        "plan",
-        "metric",
-        "value",
-        "low",
-        "high",
-        "median",
-    ]
-    assert all(list(item) == keys for item in results["summary"])
     metrics = {item["metric"] for item in results["summary"]}
     assert metrics == set(METRICS)
     json.dumps(results, allow_nan=False)
+    # the boat does not roll
+    assert results["motion"] == results["quiet"] == []
 
 
 def test_summary_is_the_mean_and_median_over_seeds(small):
@@ -152,14 +133,12 @@ def test_a_result_of_other_particulars_is_not_reused(tmp_path):
     log = recorded_runs()["boat1_usv_circle"]
     path = tmp_path / "own.csv.gz"
     path.write_bytes(log.read_bytes())
-    path.with_name("own.toml").write_text(log.with_name("boat1_usv_circle.toml").read_text())
+    text = log.with_name("boat1_usv_circle.toml").read_text()
+    path.with_name("own.toml").write_text(text)
     settings = Settings(scenarios=(), logs=(str(path),), predictors=("ukf",))
-    unit = units(settings)[0]
-    before = bench.digest(settings, unit)
-    assert bench.digest(settings, unit) == before
-    text = path.with_name("own.toml").read_text()
+    before = bench.digest(settings, units(settings)[0])
     path.with_name("own.toml").write_text(text + "\n# heavier today\n")
-    assert bench.digest(settings, unit) != before
+    assert bench.digest(settings, units(settings)[0]) != before
 
 
 def test_no_two_runs_share_a_file(tmp_path):
@@ -226,13 +205,8 @@ def test_a_log_is_replaced_with_its_result_and_has_its_particulars(tmp_path):
     assert particulars_for_log(path) == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    with pytest.raises(ParticularsError, match=r"no particulars .* --write .*alone.toml"):
+    with pytest.raises(ParticularsError, match="alone"):
         particulars_for_log(other)
-
-
-def test_two_runs_of_one_name_are_refused():
-    with pytest.raises(BenchmarkError, match="two runs are called 'run'"):
-        dataclasses.replace(SMALL, logs=("a/run.csv", "b/run.csv.gz"))
 
 
 def test_a_calm_straight_run_has_no_absurd_normalised_error(tmp_path):
@@ -251,6 +225,8 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     assert {row["channel"] for row in results["rows"]} == {"along", "across", "psi"}
     assert {row["scenario"] for row in results["rows"]} == {"boat1_usv_circle"}
     assert {row["predictor"] for row in results["rows"]} == {"persistence", "ukf"}
+    # without the oracle there is no J
+    assert {i["metric"] for i in results["summary"]} == set(METRICS) - {"J", "E", "E_runs"}
     assert left_out(settings) == (
         "oracle is left out of boat1_usv_circle: the true boat is not known",
     )
@@ -263,7 +239,7 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     assert value["ukf", "gps20", "start_error"] > 1.2 * value["ukf", "none", "start_error"]
 
 
-def test_j_of_the_oracle_is_one(small):
+def test_j_is_the_mean_of_the_ratios_to_the_oracle(small):
     _, results = small
     value = {
         (i["predictor"], i["fault"], i["plan"], i["metric"]): i["value"] for i in results["summary"]
@@ -276,10 +252,6 @@ def test_j_of_the_oracle_is_one(small):
             j = value[name, fault, "known", "J"]
             assert value[name, fault, "known", "E"] == pytest.approx(j - 1.0)
             assert j > 1.0
-
-
-def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
-    _, results = small
     table = {
         tuple(row[key] for key in ("fault", "seed", "predictor", "plan")): row
         for row in results["runs"]
@@ -289,17 +261,6 @@ def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
     assert all(len(curve) == 20 for curve in row["curves"].values())
     ratios = [np.mean(row["curves"][c]) / np.mean(oracle["curves"][c]) for c in row["curves"]]
     assert row["J"] == pytest.approx(np.mean(ratios))
-
-
-def test_without_the_oracle_there_is_no_j(small):
-    _, results = small
-    alone = dataclasses.replace(SMALL, predictors=("persistence", "ukf"))
-    done = [r for r in results["runs"] if r["predictor"] in alone.predictors]
-    for row in done:
-        assert set(METRICS) - {"mae_median", "E_runs"} <= set(row)
-    stripped = [{k: v for k, v in row.items() if k not in ("J", "E")} for row in done]
-    metrics = {item["metric"] for item in summarise(stripped)}
-    assert metrics == set(METRICS) - {"J", "E", "E_runs"}
 
 
 def test_coverage_is_counted_by_channel_and_horizon(small):
@@ -336,14 +297,15 @@ def test_faults_remove_signals_of_a_recorded_log():
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
-        ({"scenarios": ("loop",)}, ManoeuvreError, "no scenario is called 'loop'; known"),
-        ({"predictors": ("magic",)}, PredictorError, "no predictor is called 'magic'"),
+        ({"scenarios": ("loop",)}, ManoeuvreError, "loop"),
+        ({"predictors": ("magic",)}, PredictorError, "magic"),
         ({"faults": ("gps",)}, FaultError, "gps10"),
         ({"faults": ("sonar10",)}, FaultError, "sonar"),
         ({"plans": ("guess",)}, PredictorError, "hold, known"),
         ({"spread": 0.8}, BenchmarkError, "spread = 0.8"),
         ({"hs": -1.0}, SeaError, "hs = -1.0"),
         ({"duration_s": 35.0}, BenchmarkError, "duration_s"),
+        ({"logs": ("a/run.csv", "b/run.csv.gz")}, BenchmarkError, "'run'"),
     ],
 )
 def test_bad_settings_die_early(change, kind, message):
@@ -360,16 +322,11 @@ def test_missing_torch_is_reported(monkeypatch):
 
 CASES = dataclasses.replace(
     SMALL,
-    cases=tuple(FULL_CASES[name] for name in ("base", "gps5", "gps10", "sea3", "sea0", "best")),
+    cases=tuple(FULL_CASES[name] for name in ("base", "gps5", "sea3", "sea0", "best")),
     plans=("known",),
     predictors=("persistence", "ukf"),
-    seeds=(0, 1, 2),
+    seeds=(0, 1),
 )
-
-
-@pytest.fixture(scope="module")
-def cases(tmp_path_factory):
-    return run_all(CASES, tmp_path_factory.mktemp("cases"))
 
 
 def test_the_full_protocol_changes_one_factor_at_a_time():
@@ -387,34 +344,18 @@ def test_the_full_protocol_changes_one_factor_at_a_time():
     assert full.identify_s + full.fault_after_s + 30.0 <= full.duration_s
 
 
-def test_cases_are_named_in_the_results(cases):
+def test_cases_are_named_in_the_results(tmp_path):
+    cases = run_all(CASES, tmp_path)
     named = {(i["case"], i["fault"], i["sea"], i["grade"]) for i in cases["summary"]}
     assert named == {
         *(("base", "none", "2", "typical"), ("gps5", "gps5", "2", "typical")),
-        *(("gps10", "gps10", "2", "typical"), ("sea3", "none", "3", "typical")),
-        *(("sea0", "none", "0", "typical"), ("best", "none", "2", "best")),
+        *(("sea3", "none", "3", "typical"), ("sea0", "none", "0", "typical")),
+        ("best", "none", "2", "best"),
     }
     mae = {
         (i["predictor"], i["case"]): i["value"] for i in cases["summary"] if i["metric"] == "mae"
     }
     assert mae["ukf", "sea0"] < mae["ukf", "base"] < mae["ukf", "sea3"]
-    value = {
-        (r["axis"], r["at"], r["metric"]): r for r in cases["trends"] if r["predictor"] == "ukf"
-    }
-    assert [at for axis, at, m in value if (axis, m) == ("gps_loss_s", "psi_10s")] == [0, 5, 10]
-    assert [at for axis, at, m in value if (axis, m) == ("sea_state", "psi_10s")] == [0, 2, 3]
-    row = value["sea_state", 3, "displacement_10s"]
-    runs = [
-        r["displacement_10s"]
-        for r in cases["runs"]
-        if (r["case"], r["predictor"]) == ("sea3", "ukf")
-    ]
-    assert row["value"] == pytest.approx(np.mean(runs)) and row["low"] < row["value"] < row["high"]
-
-
-def test_tuning_is_stated(cases):
-    tuning = {name: item["tuning"] for name, item in cases["predictors"].items()}
-    assert tuning["persistence"].startswith("none") and "60" in tuning["ukf"]
 
 
 def predictions(monkeypatch, folder, unit, run):
@@ -527,13 +468,6 @@ def test_a_rolling_boat_is_scored_in_roll_pitch_and_heave(tmp_path):
     deck = figure.predictors["ukf"].deck
     assert deck.t[-1] <= 100.0
     assert np.corrcoef(deck.mean[:, 0], deck.truth[:, 0])[0, 1] > 0.5
-    assert deck_figure(figure, "ukf") is not None
-
-
-def test_a_boat_that_does_not_roll_has_no_such_scores(small):
-    results = small[1]
-    assert results["motion"] == []
-    assert results["quiet"] == []
 
 
 class Gaps(Persistence):

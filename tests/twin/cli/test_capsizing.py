@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.benchmark.protocol import Case, Settings, left_out
-from twin.cli import benchmark, view
-from twin.cli.interfaces import sitl
+from twin.cli import benchmark, sitl, view
 from twin.cli.main import app
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from usv_gym.design.seaway import warning_of
@@ -22,7 +21,6 @@ SAID = warning_of(TENDER, SeaState.named("4"), 6)
 COMMANDS = {
     "simulate": ["simulate", "straight", "--duration", "1"],
     "view": ["view", "-p", "persistence"],
-    "fmu": ["fmu", "kvlcc2_l7", "--out", "a.fmu", "--force"],
     "sitl": ["sitl", "kvlcc2_l7"],
 }
 
@@ -86,18 +84,6 @@ def test_a_benchmark_prints_a_note_once(tmp_path: Path, monkeypatch: pytest.Monk
     assert result.exit_code == 0, result.output
     assert result.output.count("it capsizes") == 1
     assert "it capsizes" in Path("out/results.json").read_text()
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("otter", "upright in sea 2; not tried: sea 3, 4 (rougher, or waves above 0.5 lengths)"),
-        ("usv75", "a minute with dof=6: upright in sea 2, 3, 4\n"),
-        ("kvlcc2_l7", "capsizes in sea"),
-    ],
-)
-def test_vessel_check_says_in_which_seas_a_vessel_capsizes(name: str, said: str) -> None:
-    assert said in CliRunner().invoke(app, ["vessel", "check", name]).output
 
 
 def test_a_view_says_it_of_the_vessel_and_sea_that_are_chosen(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_equals_a_textbook_filter_on_a_linear_model() -> None:
 
 
 def test_weights_are_those_of_the_scaled_transform() -> None:
-    # Source: filterpy 2.0.0; docs/explanation/validation.md, The twin.
+    # Source: filterpy 2.0.0, MerweScaledSigmaPoints.
     spread, mean_0, covariance_0, others = ukf.scaled_weights(6, 0.1, 2.0, -3.0)
     assert spread == pytest.approx(0.03)
     assert mean_0 == pytest.approx(-199.0, rel=1e-9)

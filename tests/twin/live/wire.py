@@ -71,6 +71,11 @@ class Wire:
         return {name: count for name, count in counts.items() if count}
 
 
+def is_heartbeat(datagram: Datagram) -> bool:
+    """Return whether a datagram is a HEARTBEAT of MAVLink, which has no time."""
+    return datagram.data[:1] == b"\xfd" and datagram.data[7] == 0
+
+
 def disturbed(
     datagrams: Iterable[Datagram], rng: np.random.Generator, counts: Counter[str]
 ) -> list[Datagram]:
@@ -80,12 +85,15 @@ def disturbed(
     while k < len(found):
         one = found[k]
         way = ("late", "doubled", "broken", "swapped", "")[min(int(20.0 * rng.random()), 4)]
-        heartbeat = one.data[:1] == b"\xfd" and one.data[7] == 0
-        if heartbeat or one.due > end:
+        if is_heartbeat(one) or one.due > end:
             way = ""
         counts[way] += one.messages if way != "broken" else 1
         if way == "swapped":  # the next one of a later time overtakes it
-            later = next(j for j in range(k + 1, len(found)) if found[j].due > one.due)
+            later = next(
+                j
+                for j in range(k + 1, len(found))
+                if found[j].due > one.due and not is_heartbeat(found[j])
+            )
             made += found[k + 1 : later + 1]
             one, k = replace(one, due=found[later].due), later
         elif way == "late":

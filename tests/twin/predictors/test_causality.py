@@ -1,7 +1,4 @@
-"""Forecasts use no later row, and exist for every plan; for each entry of PREDICTORS.
-
-The rest of the contract stands in twin.benchmark.conformance, and is tested with it.
-"""
+"""Forecasts use no later row, exist for every plan, and change nothing; for each of PREDICTORS."""
 
 from __future__ import annotations
 
@@ -87,6 +84,30 @@ def test_later_rows_change_no_answer(name, make_twin, zigzag, plan):
             for row in range(split, split + 20):
                 twin.step(other.t[row], other.z[row], other.cmd[row])
         same(found, answers(true, plan))
+
+
+def test_rows_and_forecasts_leave_no_trace_and_reset_forgets(name, make_twin, zigzag, plan):
+    """The answers are those of a new twin that got the rows once, and was asked nothing before."""
+    rows = 150 if "lstm" in name else 300
+    plain, twin = make_twin(name), make_twin(name)
+    for row in range(rows):
+        plain.step(zigzag.t[row], zigzag.z[row], zigzag.cmd[row])
+    for row in range(100, 160):
+        twin.step(zigzag.t[row], zigzag.z[row], zigzag.cmd[row])
+    twin.predict("hold")
+    twin.reset()
+    z, cmd = np.empty_like(zigzag.z[0]), np.empty(4)
+    for row in range(rows):
+        z[:], cmd[:] = zigzag.z[row], zigzag.cmd[row]
+        twin.step(zigzag.t[row], z, cmd)
+        np.testing.assert_array_equal(z, zigzag.z[row])
+        z[:], cmd[:] = 1e6, 1e6  # a predictor may keep no view of a row
+        if row % 50 == 0:
+            other = -plan[: 1 + row % 90]
+            twin.predict(other, dt=0.1)
+            np.testing.assert_array_equal(other, -plan[: len(other)])
+            twin.estimate()
+    same(answers(plain, plan), answers(twin, plan))
 
 
 @pytest.fixture(scope="module")

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import twin.logs
 from twin import Twin
 from twin.channels import R
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
-from twin.logs.datasets import ESSO as TANKER
 from twin.model.dynamics import derivative, model_of
-from twin.model.priors import TANKER as KIND
 from twin.model.priors import population_prior
 from twin.model.structure import N_STATES, N_TERMS, Structure
 from twin.particulars import GRAVITY, Particulars
 from twin.sim.bridge import particulars_of, simulate
-from twin.training import prior_population as pop
 from usv_gym import Vessel
 from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SeaState
 
 Array = NDArray[np.float64]
+
+TANKER = Particulars.load(Path(twin.logs.__file__).with_name("ships") / "esso_osaka.toml")
 
 
 def rates(structure: Structure, xi: Array, state: Array, act: Array) -> list[float]:
@@ -85,17 +85,6 @@ def test_turns_to_port_and_starboard_differ() -> None:
         turned.append(side * rates(structure, mean, state, act)[R])
     # behind a right-handed screw a turn to port is the tighter one
     assert turned[0] < turned[1]
-
-
-def test_unequal_sides_improve_the_fit() -> None:
-    """Against the same boats, fitted as ships of equal sides."""
-    draw = functools.partial(pop.random_boat, KIND)
-    errors = {
-        kind: [pop.fit_member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
-        for kind in (KIND, "rudder")
-    }
-    # measured: 0.5 of the yaw rate's error
-    assert np.median(errors[KIND]) < 0.75 * np.median(errors["rudder"])
 
 
 def test_process_noise_scales_with_length_not_speed() -> None:

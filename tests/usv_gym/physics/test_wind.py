@@ -79,34 +79,6 @@ def test_load_is_quadratic_in_speed() -> None:
 # ---------------------------------------------------------------- zero wind
 
 
-@given(
-    u=st.floats(-10, 20),
-    v=st.floats(-3, 3),
-    r=st.floats(-0.5, 0.5),
-    psi=angles,
-    n=st.floats(-10, 40),
-    delta=st.floats(-0.5, 0.5),
-)
-@settings(max_examples=100, deadline=None)
-def test_no_wind_gives_no_load(
-    u: float, v: float, r: float, psi: float, n: float, delta: float
-) -> None:
-    """Without wind, the wind areas do not enter the ship at all, to the bit."""
-    state = np.zeros(fr.STATE_SIZE)
-    state[[fr.PSI, fr.U, fr.V, fr.R]] = psi, u, v, r
-    state[fr.N_LEFT :] = n, n, delta, -delta
-    cmd, still = state[fr.N_LEFT :].copy(), weather.constant()
-    sea = ship.calm_sea(still)
-    bare = P.copy()
-    bare["A_F"], bare["A_L"] = 0.5 * bare["A_F"], 0.5 * bare["A_L"]
-    north, east = weather.air_velocity(3.0, np.zeros((3, 0)), still)
-    assert (north, east) == (0.0, 0.0)
-    out, out_bare = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    for p, o in ((P, out), (bare, out_bare)):
-        ship.derivative(state, cmd, ship.Ship(p, 3), sea, ship.Air(north, east, 1.0), 3.0, o)
-    np.testing.assert_array_equal(out, out_bare)
-
-
 def test_wind_load_vanishes_with_the_wind() -> None:
     """The ship feels wind less still air, so that a breath of wind makes no jump."""
     state = np.zeros(fr.STATE_SIZE)

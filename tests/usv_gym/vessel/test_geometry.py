@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import pickle
-import re
 import sys
 from pathlib import Path
 
@@ -13,16 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import usv_gym
-from twin.cli.main import app
 from usv_gym import Vessel, vessel_names
-from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, encode_mesh
+from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
-from usv_kernel.errors import UsvTwinError
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -93,9 +87,6 @@ def test_parts_are_closed_and_have_few_vertices(vessel: Vessel) -> None:
         assert np.isfinite(part.mesh.vertices).all()
     assert len({part.name for part in boat.parts}) == len(boat.parts)
     assert sum(len(part.mesh.vertices) for part in boat.parts) < 4000
-    with pytest.raises(KeyError, match=r"^no part 'keel'.*hull") as caught:
-        boat["keel"]
-    assert isinstance(caught.value, UsvTwinError)
 
 
 def test_catamarans_have_two_hulls() -> None:
@@ -129,19 +120,6 @@ def test_drives_and_rudders_have_the_positions_of_the_vessel(vessel: Vessel) -> 
             assert drive.moves == ("" if vessel.kind == "thruster_pair" else "steer")
             assert drive.position[0] == pytest.approx(v.get("x_P", drive.position[0]))
             assert drive.position[0] < boat["hull"].mesh.bounds[0, 0] + 0.1 * v["length_overall"]
-
-
-def test_a_drive_turns_by_minus_its_angle() -> None:
-    # thrust follows the axis of the propeller
-    vessel = Vessel.load("usv75")
-    angle, state = 0.3, np.zeros(16)
-    state[12:] = [20.0, 20.0, angle, angle]
-    X, Y, _ = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())
-    turned = np.array([math.cos(-angle), math.sin(-angle)])
-    state[14:] = 0.0
-    straight = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())[0]
-    assert np.sign(Y) == np.sign(turned[1])
-    assert 0.8 < X / (straight * turned[0]) < 1.2
 
 
 @st.composite
@@ -182,13 +160,6 @@ def test_any_boat_can_be_drawn(form: Form) -> None:
         check_solid(part.mesh)
 
 
-def test_varied_boats_can_be_drawn(vessel: Vessel) -> None:
-    boat = vessel.varied(np.random.default_rng(3), 0.3)
-    hull, v = boat_of(boat)["hull"].mesh, boat.values
-    volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
-    assert submerged(hull) == pytest.approx(volume, rel=0.02)
-
-
 def with_mesh(folder: Path, mesh: str) -> Path:
     """Write usv75 with a mesh; return its file."""
     path = folder / "mine.toml"
@@ -197,96 +168,67 @@ def with_mesh(folder: Path, mesh: str) -> Path:
     return path
 
 
-PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
+UPRIGHT = np.diag([1.0, -1.0, -1.0])
+GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-def exported(folder: Path, suffix: str) -> Boat:
+def write_mesh(path: Path, boat: Boat) -> None:
+    """Write the parts of a boat as a mesh file: .glb has y up, others z up."""
+    turn = GLTF if path.suffix == ".glb" else UPRIGHT
+    scene = trimesh.Scene()
+    for part in boat.parts:
+        vertices = part.mesh.moved(boat.position_of(part)).vertices @ turn.T
+        solid = trimesh.Trimesh(vertices, part.mesh.faces, process=False)
+        material = trimesh.visual.material.PBRMaterial(baseColorFactor=[*part.colour, 255])
+        solid.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(solid, node_name=part.name, geom_name=part.name)
+    if path.suffix == ".glb":
+        scene.export(path)
+    else:
+        scene.to_geometry().export(path)
+
+
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_a_mesh_file_replaces_hull_and_superstructure(tmp_path: Path, suffix: str) -> None:
     boat = boat_of(Vessel.load("usv75"))
-    (folder / f"boat{suffix}").write_bytes(encode_mesh(boat, suffix))
-    return boat
+    hull = dataclasses.replace(boat["hull"], colour=(10, 200, 30))
+    write_mesh(tmp_path / f"hull{suffix}", Boat((hull,)))
+    vessel = Vessel.load(with_mesh(tmp_path, f"hull{suffix}"))
+    again = boat_of(vessel)
+    assert [part.name for part in again.parts[1:]] == [
+        part.name for part in boat.parts if part.moves or part.name.startswith("bracket")
+    ]
+    assert hull_of(vessel).volume == pytest.approx(hull.mesh.volume, rel=1e-4)
+    np.testing.assert_allclose(again.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
+    if suffix == ".glb":
+        assert again.parts[0].colour == (10, 200, 30)
 
 
-@pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_an_exported_file_has_the_axes_of_its_format(tmp_path: Path, suffix: str) -> None:
-    boat = exported(tmp_path, suffix)
-    (north, west, up), (bow, east, top) = trimesh.load_scene(tmp_path / f"boat{suffix}").bounds
-    if suffix != ".glb":  # no propulsion
-        boat = Boat(
-            tuple(part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION)
-        )
-    (aft, port, high), (fore, _starboard, low) = boat.whole().bounds
-    if suffix == ".glb":  # y up, z forward
-        north, west, up, bow, east, top = up, north, west, top, bow, east
-    np.testing.assert_allclose([north, bow, west, up, top], [aft, fore, port, -low, -high], 1e-4)
-
-
-@pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_an_exported_boat_as_mesh_has_each_drive_once(tmp_path: Path, suffix: str) -> None:
-    boat = exported(tmp_path, suffix)
-    again = boat_of(Vessel.load(with_mesh(tmp_path, f"boat{suffix}")))
-    assert len(again.whole().faces) == len(boat.whole().faces)
-
-
-def test_a_mesh_far_from_the_origin_is_refused(tmp_path: Path) -> None:
-    hull = boat_of(Vessel.load("usv75"))["hull"]
-    off = dataclasses.replace(hull, mesh=hull.mesh.moved([500.0, 0.0, 0.0]))
-    (tmp_path / "off.stl").write_bytes(encode_mesh(Boat((off,)), ".stl"))
-    refused(tmp_path, "off.stl", "501 m off the origin|amidships")
-
-
-def test_a_read_glb_has_equal_parts(tmp_path: Path) -> None:
-    boat = exported(tmp_path, ".glb")
+def test_drives_of_a_glb_file_take_the_place_of_drawn_ones(tmp_path: Path) -> None:
+    boat = boat_of(Vessel.load("usv75"))
+    write_mesh(tmp_path / "boat.glb", boat)
     again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
     assert {part.name for part in again.parts} == {part.name for part in boat.parts}
     for part in boat.parts:
         back = again[part.name]
-        assert back.mesh.volume == pytest.approx(part.mesh.volume, rel=1e-4)
         np.testing.assert_allclose(back.mesh.bounds, part.mesh.bounds, atol=1e-5)
         np.testing.assert_allclose(again.position_of(back), boat.position_of(part))
         assert (back.moves, back.parent, back.unit) == (part.moves, part.parent, part.unit)
-        assert back.colour == part.colour
-    solid = trimesh.load_scene(tmp_path / "boat.glb").geometry["hull"]
-    assert solid.is_watertight
-    assert solid.volume == pytest.approx(boat["hull"].mesh.volume, rel=1e-4)
-
-
-def test_a_read_glb_is_written_equally(tmp_path: Path) -> None:
-    exported(tmp_path, ".glb")
-    again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
-    (tmp_path / "twice.glb").write_bytes(encode_mesh(again, ".glb"))
-    first, second = (trimesh.load_scene(tmp_path / f"{n}.glb") for n in ("boat", "twice"))
-    np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-5)
-    assert set(first.graph.nodes_geometry) == set(second.graph.nodes_geometry)
-
-
-@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
-def test_other_files_replace_the_hull_and_keep_the_drives(tmp_path: Path, suffix: str) -> None:
-    hull = boat_of(Vessel.load("usv75"))["hull"]
-    (tmp_path / f"hull{suffix}").write_bytes(encode_mesh(Boat((hull,)), suffix))
-    boat = boat_of(Vessel.load(with_mesh(tmp_path, f"hull{suffix}")))
-    assert boat.parts[0].mesh.volume == pytest.approx(hull.mesh.volume, rel=1e-4)
-    np.testing.assert_allclose(boat.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
-    names = [part.name for part in boat.parts[1:]]
-    assert "drive_left" in names
-    assert "propeller_right" in names
-    assert not {"hull", "deck", "superstructure", "mast"} & set(names)
 
 
 def test_a_vessel_keeps_its_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exported(tmp_path, ".glb")
+    write_mesh(tmp_path / "boat.glb", boat_of(Vessel.load("usv75")))
     with_mesh(tmp_path, "boat.glb")
     monkeypatch.chdir(tmp_path.parent)
     vessel = Vessel.load(f"{tmp_path.name}/mine.toml")
     monkeypatch.chdir("/")
-    assert vessel.mesh == (tmp_path / "boat.glb").resolve()
     for other in (
         pickle.loads(pickle.dumps(vessel)),
         vessel.varied(np.random.default_rng(0)),
         dataclasses.replace(vessel, name="other"),
     ):
-        assert other.mesh == vessel.mesh
+        assert other.mesh == (tmp_path / "boat.glb").resolve()
         boat_of(other)
-    assert Vessel.load("usv75").mesh is None
 
 
 def refused(folder: Path, mesh: str, message: str) -> None:
@@ -297,74 +239,49 @@ def refused(folder: Path, mesh: str, message: str) -> None:
 
 
 def test_bad_mesh_files_are_refused(tmp_path: Path) -> None:
-    refused(tmp_path, "none.glb", "there is no file")
+    refused(tmp_path, "none.glb", "no file")
     (tmp_path / "boat.fbx").touch()
-    refused(tmp_path, "boat.fbx", r"must be a file of \.glb, \.stl")
+    refused(tmp_path, "boat.fbx", r"\.glb, \.stl")
     damaged = b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8), b"none \xff\0"
     for suffix in MESH_FORMATS:
         for content in damaged:
             (tmp_path / f"bad{suffix}").write_bytes(content)
-            refused(tmp_path, f"bad{suffix}", "no .* file that can be read|holds no triangles")
-    (tmp_path / "empty.obj").write_text("# nothing\n")
-    refused(tmp_path, "empty.obj", "no .* file that can be read|holds no triangles")
-    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
-    refused(tmp_path, "points.obj", "no .* file that can be read|holds no triangles")
-    (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    refused(tmp_path, "nan.obj", "not finite")
+            refused(tmp_path, f"bad{suffix}", "can be read|no triangles")
+    for text, word in (
+        ("# nothing\n", "can be read|no triangles"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "can be read|no triangles"),
+        ("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
+    ):
+        (tmp_path / "bad.obj").write_text(text)
+        refused(tmp_path, "bad.obj", word)
+    boat = boat_of(Vessel.load("usv75"))
+    write_mesh(tmp_path / "drive.glb", Boat((boat["drive_left"],)))
+    refused(tmp_path, "drive.glb", "hull")
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "moved", "message"),
     [
-        (np.eye(3) * 1e3, "seems to be in mm"),
-        (np.eye(3) * 100.0, "seems to be in cm"),
-        (np.eye(3) / 0.3048, "seems to be in feet"),
-        (np.eye(3) * 5.0, "must be in m"),
-        (np.eye(3)[[2, 1, 0]], "axes seem to differ"),
+        (np.eye(3) * 1e3, 0.0, "in mm"),
+        (np.eye(3) * 100.0, 0.0, "in cm"),
+        (np.eye(3) / 0.3048, 0.0, "in feet"),
+        (np.eye(3) * 5.0, 0.0, "must be in m"),
+        (np.eye(3)[[2, 1, 0]], 0.0, "axes"),
+        (np.eye(3), 500.0, "origin"),
     ],
 )
-def test_a_mesh_of_another_size_is_refused(
-    tmp_path: Path, change: np.ndarray, message: str
+def test_a_mesh_of_another_size_or_place_is_refused(
+    tmp_path: Path, change: np.ndarray, moved: float, message: str
 ) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
-    wrong = dataclasses.replace(hull, mesh=Mesh(hull.mesh.vertices @ change, hull.mesh.faces))
-    (tmp_path / "wrong.stl").write_bytes(encode_mesh(Boat((wrong,)), ".stl"))
+    mesh = Mesh(hull.mesh.vertices @ change, hull.mesh.faces).moved([moved, 0.0, 0.0])
+    write_mesh(tmp_path / "wrong.stl", Boat((dataclasses.replace(hull, mesh=mesh),)))
     refused(tmp_path, "wrong.stl", message)
 
 
-def test_a_file_of_drives_alone_is_refused(tmp_path: Path) -> None:
-    boat = boat_of(Vessel.load("usv75"))
-    (tmp_path / "drive.glb").write_bytes(encode_mesh(Boat((boat["drive_left"],)), ".glb"))
-    refused(tmp_path, "drive.glb", "must hold the hull")
-
-
-def test_missing_trimesh_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    boat = boat_of(Vessel.load("usv75"))
+def test_missing_trimesh_is_reported_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "boat.stl").touch()
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(VesselError, match=re.escape("pip install 'usv-twin[view]'")):
-        encode_mesh(boat, ".glb")
-
-
-@pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_command_writes_a_mesh(tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / "new" / f"boat{suffix}"
-    done = CliRunner().invoke(app, ["vessel", "mesh", "otter", "--out", str(out)])
-    assert done.exit_code == 0, done.output
-    assert "triangles" in done.output
-    assert trimesh.load_scene(out).triangles.size
-    assert [path.name for path in out.parent.iterdir()] == [out.name]
-
-
-def test_command_refuses_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "boat.glb").touch()
-    for arguments, message in (
-        (["mesh", "usv75", "--out", str(tmp_path / "boat.fbx")], "no mesh format"),
-        (["mesh", "usv75", "--out", str(tmp_path / "boat.glb")], "is there already"),
-        (["mesh", "unknown"], "no vessel is called"),
-        (["check", str(with_mesh(tmp_path, "boat.glb"))], "boat.glb"),
-    ):
-        done = CliRunner().invoke(app, ["vessel", *arguments])
-        assert done.exit_code == 2
-        assert message in done.stderr
-        assert "Traceback" not in done.output
-    assert (tmp_path / "boat.glb").stat().st_size == 0
+    refused(tmp_path, "boat.stl", r"usv-twin\[view\]")

@@ -18,9 +18,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.optimize import brentq
 
 import usv_gym
 from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
@@ -28,10 +25,10 @@ from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
-from usv_gym.vessel import vessel as vessel_module
-from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, UNITS
-from usv_gym.vessel.variation import LAW, BoatClass
-from usv_gym.vessel.vessel import VesselError, course_eigenvalues
+from usv_gym.vessel import vessel_file
+from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
+from usv_gym.vessel.variation import LAW
+from usv_gym.vessel.vessel import BoatClass, VesselError, course_eigenvalues
 from usv_gym.world.simulation import Simulation
 
 FOLDER = Path(usv_gym.__file__).parent / "vessel" / "vessels"
@@ -50,13 +47,6 @@ def test_vessel_names_are_those_of_the_folder() -> None:
 @pytest.fixture(params=vessel_names())
 def boat(request: pytest.FixtureRequest) -> Vessel:
     return Vessel.load(request.param)
-
-
-def test_a_vessel_is_loaded_by_name_and_by_path(boat: Vessel) -> None:
-    again = Vessel.load(FOLDER / f"{boat.name}.toml")
-    assert dict(again.values) == dict(boat.values)
-    assert again.title
-    assert Vessel.load(boat) is boat
 
 
 def test_packed_holds_every_number_of_the_vessel(boat: Vessel) -> None:
@@ -90,11 +80,6 @@ def test_shaft_speed_for_inverts_straight_speed(boat: Vessel) -> None:
         # to 1e-10 rev/s
         found = boat.straight_speed(boat.shaft_speed_for(speed))
         assert found == pytest.approx(speed, abs=1e-8)
-
-
-def test_shaft_speeds_are_in_order(boat: Vessel) -> None:
-    v = boat.values
-    assert 0.0 < v["shaft_speed_manoeuvring"] <= v["shaft_speed_service"] <= v["shaft_speed_max"]
 
 
 def run(boat: Vessel, state: np.ndarray, cmd: np.ndarray, seconds: float, dof: int) -> np.ndarray:
@@ -188,14 +173,22 @@ def test_a_vessel_is_immutable(boat: Vessel) -> None:
         _ = boat.wings
 
 
-def test_every_number_has_a_source(boat: Vessel) -> None:
-    text = (FOLDER / f"{boat.name}.toml").read_text(encoding="utf-8")
-    of_boat, autopilot = (
-        re.findall(r'source = "([^"]*)"', part) for part in text.partition("[autopilot]")[::2]
-    )
-    assert len(of_boat) == len(boat.values) + (2 if boat.resistance_speed else 0)
-    assert len(autopilot) == text.partition("[autopilot]")[2].count("value =")
-    assert all(len(source.strip()) > 3 for source in (*of_boat, *autopilot))
+def test_outputs_of_an_autopilot_are_those_of_the_kind(tmp_path: Path) -> None:
+    usv75, otter = Vessel.load("usv75"), Vessel.load("otter")
+    helm = math.radians(15.0)
+    command = [-12.8, -12.8, helm, helm]
+    assert usv75.servos.command([1700, 0, 1300]) == pytest.approx(command)
+    full = otter.values["shaft_speed_max"]
+    assert otter.servos.command([1900, 1900, 1100]) == pytest.approx([full, -full, 0.0, 0.0])
+    path = tmp_path / "boat.toml"
+    for boat in (usv75, otter):  # without the table they have the same outputs by default
+        text = (FOLDER / f"{boat.name}.toml").read_text(encoding="utf-8")
+        path.write_text(text.partition("[autopilot]")[0], encoding="utf-8")
+        assert Vessel.load(path).outputs is None
+        assert Vessel.load(path).servos == boat.servos
+    path.write_text(USV75 + "pulse = [1000, 1500, 2000]\n", encoding="utf-8")
+    servos = Vessel.load(path).servos
+    assert (servos.low, servos.middle, servos.high) == (1000.0, 1500.0, 2000.0)
 
 
 # ------------------------------------------------- random boats of a kind
@@ -325,58 +318,58 @@ def check_refused(tmp_path: Path, text: str, words: Sequence[str]) -> None:
     assert all(word in message for word in words), (message, words)
 
 
-def test_a_file_loads_as_the_shipped_vessel(tmp_path: Path) -> None:
-    path = tmp_path / "boat.toml"
-    path.write_text(USV75, encoding="utf-8")
-    assert Vessel.load(str(path)).packed.tobytes() == Vessel.load("usv75").packed.tobytes()
+@pytest.mark.parametrize(
+    ("key", "entry", "word"),
+    [
+        ("beam", value("2.7", "m") + '\nmast = { value = 1, unit = "m" }', "mast"),
+        ("beam", "2.714", "no unit"),
+        ("beam", '{ value = 2.7, source = "x" }', "unit: is missing"),
+        ("beam", '{ value = 2.7, unit = "m" }', "source: is missing"),
+        ("beam", '{ value = 2.7, unit = "m", source = "x", note = 1 }', "note"),
+        ("beam", value("2.7", "ft"), "use m, mm"),
+        ("beam", '{ value = 2.7, unit = ["m"], source = "x" }', "use m, mm"),
+        ("steer_max", value("30", "kn"), "use rad, deg"),
+        ("mass", value("0", "kg"), "above 0"),
+        ("A_R", value("-0.1", "m2"), "0 or more"),
+        ("mass", value('"heavy"', "kg"), "'heavy'"),
+        ("mass", value("true", "kg"), "True"),
+        ("mass", value("[1, 2]", "kg"), "[1, 2]"),
+        ("N_v", value("nan", "1"), "finite"),
+        ("N_v", value("-inf", "1"), "finite"),
+        ("N_v", value("1" + "0" * 400, "1"), "digits"),
+        ("mass", value("5000", "kg"), "20 %"),
+        ("x_P", value("2.6", "m"), "aft"),
+    ],
+)
+def test_bad_entries_are_refused_with_place_and_remedy(
+    tmp_path: Path, key: str, entry: str, word: str
+) -> None:
+    check_refused(tmp_path, changed(key, entry), (key, word))
 
 
-def test_bad_entries_are_refused_with_place_and_remedy(tmp_path: Path) -> None:
-    beam, mass, N_v = "[particulars] beam", "[particulars] mass", "[hull] N_v"
-    for key, entry, *words in (
-        (
-            "beam",
-            value("2.7", "m") + '\nmast = { value = 1, unit = "m" }',
-            "mast",
-            "known:",
-            "draft",
-        ),
-        ("beam", "2.714", beam, "no unit", 'unit = "m"'),
-        ("beam", '{ value = 2.7, source = "x" }', beam, "unit is missing", 'unit = "m"'),
-        ("beam", '{ value = 2.7, unit = "m" }', beam, "source is missing"),
-        ("beam", '{ unit = "m", source = "x" }', beam, "value is missing"),
-        ("beam", '{ value = 2.7, unit = "m", source = "x", note = 1 }', beam, "note"),
-        ("beam", value("2.7", "ft"), beam, "'ft'", "use m, mm"),
-        ("beam", '{ value = 2.7, unit = ["m"], source = "x" }', beam, "unit", "use m, mm"),
-        ("steer_max", value("30", "kn"), "[propulsion] steer_max", "'kn'", "use rad, deg"),
-        ("mass", value("-3420", "kg"), mass, "above 0", "-3420"),
-        ("mass", value("0", "kg"), mass, "above 0"),
-        ("A_R", value("-0.1", "m2"), "[propulsion] A_R", "0 or more"),
-        ("mass", value('"heavy"', "kg"), mass, "number", "heavy"),
-        ("mass", value("true", "kg"), mass, "number"),
-        ("mass", value("[1, 2]", "kg"), mass, "number"),
-        ("N_v", value("nan", "1"), N_v, "finite"),
-        ("N_v", value("inf", "1"), N_v, "finite"),
-        ("N_v", value("-inf", "1"), N_v, "finite"),
-        ("N_v", value("1" + "0" * 400, "1"), "hull.N_v", "more digits"),
-        ("mass", value("5000", "kg"), mass, "5000", "displace", "20 %"),
-        ("x_P", value("2.6", "m"), "[propulsion] x_P", "aft"),
-    ):
-        check_refused(tmp_path, changed(key, entry), words)
-
-
-def test_bad_tables_are_refused_with_place_and_remedy(tmp_path: Path) -> None:
-    no_wind = USV75[: USV75.index("[wind]")]
-    for text, *words in (
-        (USV75.replace("J_zz = {", "J_zzz = {"), "[particulars] J_zzz", "unknown key", "J_zz"),
-        (re.sub(r"(?m)^J_zz = .*$", "", USV75), "[particulars] J_zz", "missing", "kg m2"),
-        (USV75 + "\n[sails]\narea = 3\n", "[sails]", "unknown table", "known:", "hull"),
-        (no_wind, "[wind]", "missing"),
-        ("wind = 3\n" + no_wind, "[wind]"),
-        (USV75.replace('title = "', 'colour = "'), "[vessel] colour", "name, title"),
-        (USV75.replace("[hull]", "[hull"), "not valid TOML", "line"),
-    ):
-        check_refused(tmp_path, text, words)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (USV75.replace("J_zz = {", "J_zzz = {"), ("[particulars] J_zzz", "did you mean 'J_zz'")),
+        (re.sub(r"(?m)^J_zz = .*$", "", USV75), ("[particulars] J_zz", "kg m2")),
+        (USV75 + "\n[sails]\narea = 3\n", ("sails", "known:")),
+        (USV75[: USV75.index("[wind]")], ("wind", "missing")),
+        ("wind = 3\n" + USV75[: USV75.index("[wind]")], ("[wind]", "table")),
+        (USV75.replace('title = "', 'colour = "'), ("[vessel] colour", "name, title")),
+        (USV75.replace('title = "', 'title = 3 #"'), ("[vessel] title", "text")),
+        (USV75.replace("[hull]", "[hull"), ("not valid TOML", "line")),
+        (USV75.replace("throttle = 3", "throttle = 0"), ("[autopilot]", "1 to 16")),
+        (USV75.replace("throttle = 3", ""), ("[autopilot] throttle", "missing")),
+        (USV75.replace("throttle = 3", 'throttle = "a"'), ("[autopilot] throttle", "output")),
+        (USV75.replace("throttle = 3", "throttle = 3\nleft = 2"), ("[autopilot] left", "known:")),
+        (USV75 + "pulse = [1500, 1100, 1900]\n", ("[autopilot]", "rise")),
+        (USV75 + "pulse = [1500]\n", ("[autopilot] pulse", "three")),
+    ],
+)
+def test_bad_tables_are_refused_with_place_and_remedy(
+    tmp_path: Path, text: str, words: Sequence[str]
+) -> None:
+    check_refused(tmp_path, text, words)
 
 
 def curve(speed: str, force: str, unit: str = "kN") -> str:
@@ -384,45 +377,64 @@ def curve(speed: str, force: str, unit: str = "kN") -> str:
     return re.sub(r"(?m)^force = .*$", f"force = {value(force, unit)}", text)
 
 
-def test_bad_resistance_curves_are_refused(tmp_path: Path) -> None:
-    many = str(list(range(17)))
-    for speed, force, word in (
-        ("[0, 5, 10]", "[0, 1, 2, 3]", "equally many"),
-        ("[0, 5]", "[0, 1]", "3 to 16"),
-        (many, many, "3 to 16"),
-        ("[0, 5, 5]", "[0, 1, 2]", "rise"),
-        ("[0, 10, 5]", "[0, 1, 2]", "rise"),
-        ("[1, 5, 10]", "[0, 1, 2]", "start at speed 0"),
-        ("[0, 5, 10]", "[1, 1, 2]", "start at speed 0"),
-        ("[0, 5, 10]", "[0, -1, 2]", "negative"),
-        ("[0, 5, 10]", '[0, "x", 2]', "list of numbers"),
-        ("[0, 5, 10]", "5", "list of numbers"),
-        ("[0, nan, 10]", "[0, 1, 2]", "finite"),
-        ("[0, 5, inf]", "[0, 1, 2]", "finite"),
-        ("[0, 5, 10]", "[0, nan, 2]", "finite"),
-        ("[0, 5, 10]", "[0, 1, inf]", "finite"),
-    ):
-        check_refused(tmp_path, curve(speed, force), ("[hull.resistance]", word))
-    pounds = curve("[0, 5, 10]", "[0, 1, 2]", unit="lbf")
-    check_refused(tmp_path, pounds, ("[hull.resistance]", "use N, kN"))
-    no_force = re.sub(r"(?m)^force = .*$", "", USV75)
-    check_refused(tmp_path, no_force, ("[hull.resistance]", "speed and force"))
+@pytest.mark.parametrize(
+    ("speed", "force", "unit", "word"),
+    [
+        ("[0, 5, 10]", "[0, 1, 2, 3]", "kN", "equally many"),
+        ("[0, 5]", "[0, 1]", "kN", "3 to 16"),
+        (str(list(range(17))), str(list(range(17))), "kN", "3 to 16"),
+        ("[0, 5, 5]", "[0, 1, 2]", "kN", "rise"),
+        ("[1, 5, 10]", "[0, 1, 2]", "kN", "start at speed 0"),
+        ("[0, 5, 10]", "[0, -1, 2]", "kN", "negative"),
+        ("[0, 5, 10]", '[0, "x", 2]', "kN", "list of numbers"),
+        ("[0, 5, 10]", "5", "kN", "list of numbers"),
+        ("[0, nan, 10]", "[0, 1, 2]", "kN", "finite"),
+        ("[0, 5, 10]", "[0, 1, inf]", "kN", "finite"),
+        ("[0, 5, 10]", "[0, 1, 2]", "lbf", "use N, kN"),
+    ],
+)
+def test_bad_resistance_curves_are_refused(
+    tmp_path: Path, speed: str, force: str, unit: str, word: str
+) -> None:
+    check_refused(tmp_path, curve(speed, force, unit), ("[hull.resistance]", word))
 
 
 def test_unknown_names_and_unreadable_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(VesselError, match=r"'bismarck'.*known: .*usv75.*\.toml"):
+    with pytest.raises(VesselError, match=r"'bismarck'.*known: .*usv75"):
         Vessel.load("bismarck")
-    missing = tmp_path / "none.toml"
-    with pytest.raises(VesselError, match=r"none\.toml: cannot be read"):
-        Vessel.load(missing)
-    folder = tmp_path / "folder.toml"
-    folder.mkdir()
-    with pytest.raises(VesselError, match=r"folder\.toml: cannot be read"):
-        Vessel.load(folder)
-    binary = tmp_path / "binary.toml"
-    binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(VesselError, match=r"binary\.toml: is not valid TOML"):
-        Vessel.load(binary)
+    (tmp_path / "folder.toml").mkdir()
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    for name in ("none.toml", "folder.toml", "binary.toml"):
+        with pytest.raises(VesselError, match=name):
+            Vessel.load(tmp_path / name)
+
+
+def test_other_packages_add_vessels_by_entry_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "patrol.toml").write_text(USV75.replace('name = "usv75"', 'name = "patrol"'))
+    (tmp_path / "yard_of_boats.py").write_text(
+        "from pathlib import Path\nPATROL = Path(__file__).with_name('patrol.toml')\n"
+    )
+    about = tmp_path / "yard_of_boats-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: yard_of_boats\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        f"[{vessel_file.GROUP}]\npatrol = yard_of_boats:PATROL\nusv75 = yard_of_boats:PATROL\n"
+        "wreck = yard_of_boats:WRECK\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    vessel_file._added.cache_clear()
+    try:
+        assert vessel_names() == (*vessel_file.shipped_names(), "patrol", "wreck")
+        patrol = Vessel.load("patrol")
+        assert (patrol.name, patrol.design) == ("patrol", "")
+        assert patrol.values == Vessel.load("usv75").values
+        assert Vessel.load("usv75").name == "usv75"  # those that ship keep their names
+        with pytest.raises(VesselError, match="'wreck': the entry point yard_of_boats:WRECK"):
+            Vessel.load("wreck")
+    finally:
+        vessel_file._added.cache_clear()
 
 
 def test_the_constructor_checks_values() -> None:
@@ -461,31 +473,6 @@ def test_resistance_curve_is_converted_to_si(tmp_path: Path) -> None:
     boat = Vessel.load(path)
     np.testing.assert_allclose(boat.resistance_speed, [0, 18520 / 3600, 18.52], rtol=1e-15)
     np.testing.assert_allclose(boat.resistance_force, [0, 1500.0, 4000.0], rtol=1e-15)
-
-
-def test_units_of_the_schema_are_known_with_si_first() -> None:
-    tables = [*SCHEMA.values(), *KIND_SCHEMA.values()]
-    used = {unit for keys in tables for unit, _ in keys.values()}
-    assert used | {"m/s", "N"} == set(UNITS)
-    for unit, factors in UNITS.items():
-        assert factors[unit] == 1.0
-        assert next(iter(factors)) == unit
-
-
-def test_guesses_are_read_from_the_file() -> None:
-    guesses = Vessel.load("usv75").guesses
-    assert "A_R" in guesses
-    assert "mass" not in guesses  # Table 1 of the paper
-    assert "resistance_force" in guesses
-
-
-@given(st.floats(0.1, 10.0), st.floats(-0.9, 0.9))
-def test_root_equals_scipys_to_the_bit(scale: float, at: float) -> None:
-    def f(x: float) -> float:
-        return math.tanh(scale * (x - at))
-
-    # shipped priors were fitted to boats that start at this speed
-    assert vessel_module._root(f, -1.0, 1.0) == brentq(f, -1.0, 1.0, xtol=1e-9)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from tests.usv_gym.world.sample_rows import rows
 from usv_gym import Fault, SeaState, SensorSuite
 from usv_gym.physics import frames as fr
 from usv_gym.world.anemometer import PROFILE
-from usv_gym.world.faults import FaultError
 from usv_gym.world.sensors import WIND_AT
 from usv_gym.world.simulation import Simulation
 
@@ -101,35 +100,9 @@ def test_without_an_anemometer_nothing_else_changes() -> None:
     assert np.isfinite(on[..., WIND_AT:]).any() and np.isnan(off[..., WIND_AT:]).all()
 
 
-@pytest.mark.parametrize("grade", ["typical", "consumer", "perfect"])
-def test_other_grades_have_no_anemometer(grade: str) -> None:
-    assert not SensorSuite.grade(grade).has_anemometer
-
-
-def test_boats_of_a_batch_measure_what_they_measure_alone() -> None:
-    best = SensorSuite.grade("best")
-    faults = (Fault("wind", 5.0, 3.0, effect="spikes", chance=0.5),)
-    many = sailed(best, faults, n=3)
-    np.testing.assert_array_equal(many[:, :1], sailed(best, faults))
-
-
 def test_a_loss_of_the_wind_strikes_the_wind_alone() -> None:
     best = SensorSuite.grade("best")
     clean, z = sailed(best), sailed(best, (Fault("wind", 5.0, 3.0),))
     lost = slice(100, 160)
     np.testing.assert_array_equal(z[..., :WIND_AT], clean[..., :WIND_AT])
     assert np.isnan(z[lost, ..., WIND_AT:]).all() and np.isfinite(clean[lost, ..., WIND_AT:]).any()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "what"),
-    [
-        ({"wind_rate": -1.0}, "wind_rate = -1.0: must be a number from 0"),
-        ({"wind_latency": 11.0}, "wind_latency = 11 s: must be 10 s or less"),
-        ({"wind_height": 0.0}, "wind_height = 0.0: must be a number from 0.1"),
-        ({"wind_bias": math.nan}, "wind_bias = nan: must be a number"),
-    ],
-)
-def test_impossible_anemometers_are_refused(wrong: dict[str, float], what: str) -> None:
-    with pytest.raises(FaultError, match=what):
-        SensorSuite(**wrong)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from tests.usv_gym.world.sample_rows import BIT, BOAT, DT, LEVEL_BIT, N, rows
 from twin.sim.wrapper import make_env
 from usv_gym import Bursts, Fault, RandomFaults, SeaState, SensorSuite
 from usv_gym.envs.env import USVEnv
-from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.channels import GPS_BIT, IMU_BIT
 from usv_gym.world.faults import (
     EFFECTS,
     FAULT_KINDS,
@@ -28,7 +28,7 @@ from usv_gym.world.faults import (
     parse_faults,
 )
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import GYRO, MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
+from usv_kernel.channels import GYRO
 
 
 def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -190,19 +190,6 @@ def test_all_faults_at_once_are_the_same_with_the_same_seed() -> None:
     assert not np.array_equal(np.isnan(one), np.isnan(other))
 
 
-def test_each_of_many_faulty_boats_is_a_boat_alone() -> None:
-    many = Simulation(2, BOAT, SeaState.named("2"), faults=QUICK)
-    for _ in range(2):  # a reset forgets bursts, windows and frozen samples
-        many.reset([0, 1], [np.random.default_rng(3), np.random.default_rng(4)])
-        z = [many.z.copy()]
-        for _ in range(400):
-            many.step(np.full((2, 4), [N, N, 0.2, 0.2]))
-            z.append(many.z.copy())
-        both = np.stack(z, axis=1)
-        for i, seed in enumerate((3, 4)):
-            np.testing.assert_array_equal(both[i, :, : len(LEVEL_BIT)], sailed(QUICK, seed, 400))
-
-
 @pytest.mark.parametrize("when", [Bursts, RandomFaults, Fault])
 @pytest.mark.parametrize("kind", ["gps", "compass", "imu"])
 def test_a_fault_leaves_the_other_sensors_as_they_were(kind: str, when: type[Disturbance]) -> None:
@@ -240,25 +227,6 @@ def test_observations_stay_finite_through_everything(twin: str | None, dof: int)
                 break
 
 
-@pytest.mark.parametrize(
-    "faults", ["none", "on", "gps10@3+imu-spikes20", "all-frozen-random", "gps-bursts20x1"]
-)
-def test_the_environment_takes_a_text(faults: str) -> None:
-    env = USVEnv(faults=faults, suite="best", task="free")
-    assert env.simulation.suite == SensorSuite.grade("best")
-    obs, _ = env.reset(seed=0)
-    again, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(obs, again)
-    valid = []
-    for _ in range(200):
-        obs, *_ = env.step(np.array([0.5, 0.0], np.float32))
-        assert env.observation_space.contains(obs)
-        valid.append(obs[7])
-    if faults.startswith("gps10@3"):  # from 3 s on, whatever is drawn
-        assert valid[3:59] == [1.0] * 56
-        assert not any(valid[60:])
-
-
 def test_parse_faults_reads_every_form() -> None:
     assert parse_faults("none", 3.0) == ()
     assert parse_faults("on", 3.0) == ON
@@ -281,58 +249,38 @@ def test_parse_faults_reads_every_form() -> None:
     )
 
 
-def test_a_fault_of_one_axis_strikes_the_same_in_many_boats() -> None:
-    """Two boats at once see what each sees alone, and no other channel changes."""
-    faults = parse_faults("gyro_y-scaled3+accel_x-frozen4@2+accel_z-reversed-bursts", 1.0)
-    many = Simulation(2, BOAT, SeaState.named("2"), faults=faults, dof=6)
-    clean = Simulation(2, BOAT, SeaState.named("2"), dof=6)
-    singles = [Simulation(1, BOAT, SeaState.named("2"), faults=faults, dof=6) for _ in range(2)]
-    for sim in (many, clean):
-        sim.reset([0, 1], [np.random.default_rng(3), np.random.default_rng(4)])
-    for seed, single in enumerate(singles, start=3):
-        single.reset([0], [np.random.default_rng(seed)])
-    channels = (*SENSOR_CHANNELS, *MOTION_CHANNELS, *WIND_CHANNELS)
-    own = [channels.index(f"{n}_{u}") for n, u in (("gyro_y", "radps"), ("accel_x", "mps2"))]
-    own.append(channels.index("accel_z_mps2"))
-    differs = np.zeros(many.z.shape[1], dtype=bool)
-    for _ in range(600):
-        for sim in (many, clean, *singles):
-            sim.step(np.full((sim.n, 4), [N, N, 0.2, 0.2]))
-        for i, single in enumerate(singles):
-            np.testing.assert_array_equal(many.z[i], single.z[0])
-        both = np.isfinite(clean.z)
-        differs |= (both & (many.z != clean.z)).any(axis=0)
-    assert set(np.flatnonzero(differs)) == set(own)
-
-
-def test_factors_that_cannot_be_used_are_refused() -> None:
-    for factor in (math.nan, math.inf, 1e9):
-        with pytest.raises(FaultError, match=r"accel_x fault: the factor must be a number from"):
-            Fault("accel_x", 0.0, 1.0, effect="scaled", factor=factor)
-
-
-def test_on_is_all_that_comes_and_goes_on_every_sensor() -> None:
-    bits = (GPS_BIT, COMPASS_BIT, IMU_BIT)
-    struck = {(b, fault.effect) for fault in ON for b in bits if FAULT_KINDS[fault.kind] & b}
-    assert struck == {(b, effect) for b in bits for effect in ("loss", "frozen", "spikes")}
-    assert {type(fault) for fault in ON} == {Bursts, RandomFaults}
-
-
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "gps", "10", "GPS10", "gps-3", "gps10+", "none+gps1", "on+gps1", "gps 1", "gps10@"),
-        *("gps-stuck5", "gps-frozen", "gps-bursts10", "gps-bursts10%2", "gps-random5", "gps@3"),
-        *("gps10@-1", "gps1e3", "gps\u0663"),
+        *("", "gps", "10", "GPS10", "gps-3", "gps10+", "none+gps1", "gps 1", "gps10@", "radar10"),
+        *("gps-stuck5", "gps-bursts10", "gps-bursts10%2", "gps-random5", "gps1e3", "gps\u0663"),
     ],
 )
 def test_faults_that_are_not_understood_are_refused(text: str) -> None:
-    with pytest.raises(
-        FaultError, match="write none; on for all of them; or a kind and seconds"
-    ) as e:
+    with pytest.raises(FaultError) as caught:
         parse_faults(text, 0.0)
-    for word in (repr(text), *FAULT_KINDS, *EFFECTS):
-        assert word in str(e.value)
+    assert repr(text) in str(caught.value) and "gps" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: Fault("radar", 0.0, 1.0), "radar"),
+        (lambda: Fault("gps", 0.0, 0.0), "duration"),
+        (lambda: Fault("gps", math.nan, 1.0), "start"),
+        (lambda: Fault("gps", 0.0, 1.0, effect="stuck"), "stuck"),
+        (lambda: Fault("gps", 0.0, 1.0, effect="spikes", chance=1.5), "chance"),
+        (lambda: Fault("gps", 0.0, 1.0, effect="spikes", sizes=(1.0, 2.0)), "sizes"),
+        (lambda: Fault("accel_x", 0.0, 1.0, effect="scaled", factor=1e9), "factor"),
+        (lambda: Bursts("gps", 1.0), "loss"),
+        (lambda: Bursts("gps", 0.1, math.inf), "length"),
+        (lambda: RandomFaults("imu", gap=(2.0, 1.0)), "gap"),
+        (lambda: RandomFaults("imu", start=math.nan), "start"),
+    ],
+)
+def test_impossible_faults_are_refused(make: Callable[[], object], word: str) -> None:
+    with pytest.raises(FaultError, match=word):
+        make()
 
 
 KINDS = st.sampled_from([*FAULT_KINDS, "radar", ""])
@@ -373,34 +321,6 @@ def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
         assert np.all(np.isfinite(packed.view(float)))
         assert not np.any(np.isinf(rows(SensorSuite(), 300, faults=faults)))
     assert clear
-
-
-def test_unknown_kinds_and_impossible_faults_are_refused() -> None:
-    with pytest.raises(
-        FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, ahrs, all"
-    ):
-        parse_faults("radar10", 0.0)
-    for start, duration in ((0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):
-        with pytest.raises(FaultError, match="gps fault: start and duration"):
-            Fault("gps", start, duration)
-    with pytest.raises(FaultError, match="no effect 'stuck'; use loss, frozen, spikes"):
-        Fault("gps", 0.0, 1.0, effect="stuck")
-    with pytest.raises(FaultError, match=r"chance of a spike must lie in \[0, 1\], got 1.5"):
-        Fault("gps", 0.0, 1.0, effect="spikes", chance=1.5)
-    with pytest.raises(FaultError, match="sizes must be 8 finite numbers"):
-        Fault("gps", 0.0, 1.0, effect="spikes", sizes=(1.0, 2.0))
-    for loss in (0.0, 1.0, math.nan):
-        with pytest.raises(FaultError, match="gps bursts: the loss must be a share"):
-            Bursts("gps", loss)
-    for mean in (0.0, math.inf):
-        with pytest.raises(FaultError, match="gps bursts: the mean length must"):
-            Bursts("gps", 0.1, mean)
-    for gap in ((0.0, 1.0), (2.0, 1.0), (1.0, math.inf), (1.0, math.nan)):
-        with pytest.raises(FaultError, match="imu fault: gap must be the shortest"):
-            RandomFaults("imu", gap=gap)
-    for kind in (Bursts, RandomFaults):
-        with pytest.raises(FaultError, match="imu fault: the start must be finite, got nan"):
-            kind("imu", start=math.nan)
 
 
 def test_bursts_that_do_not_fit_the_control_step_die_early() -> None:

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.usv_gym.world.seas import realise, write
+from tests.usv_gym.world.seas import an_hour, realise, write
 from usv_gym import SeaState
 from usv_gym.physics import spectra
-from usv_gym.validation.study import an_hour
 from usv_gym.world.sea import DISCRETISATIONS
 
 SHARED = Path(

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import gzip
 import math
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.usv_gym.world.seas import realise, write
+from tests.usv_gym.world.seas import an_hour, peak_period, realise, write
 from usv_gym import SEA_STATES, SeaState, Vessel
 from usv_gym.physics import GRAVITY, waves, wind
 from usv_gym.physics import weather as wx
-from usv_gym.validation.study import an_hour, peak_period
 from usv_gym.world.realisation import Sea
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_gym.world.sea import DISCRETISATIONS, GUSTS, SeaKeyframe
@@ -50,14 +47,6 @@ def test_every_named_sea_state_can_be_sailed(name: str) -> None:
     # equal energies: Hs = 4 sqrt(sum a^2 / 2), to the bit but rounding
     height = 4.0 * math.sqrt(0.5 * np.sum(sea.waves[waves.AMPLITUDE] ** 2))
     assert height == pytest.approx(state.hs, rel=1e-12)
-
-
-def test_heights_and_winds_rise_with_the_number() -> None:
-    states = [SEA_STATES[str(number)] for number in range(7)]
-    assert all(a.hs < b.hs and a.wind < b.wind for a, b in pairwise(states))
-    # sea state 2 is the paper's: Hs .5 m, wind 4.5 m/s from the south-east (issue, Table 1)
-    two = SEA_STATES["2"]
-    assert (two.hs, two.wind, math.degrees(two.wind_from)) == (0.5, 4.5, pytest.approx(135.0))
 
 
 def test_deep_water_waves_run_down_the_wind_by_default() -> None:
@@ -154,7 +143,7 @@ def test_tables_have_the_height(name: str) -> None:
 
 
 def test_pm_by_wind_has_its_height_and_period() -> None:
-    # Hs g / U19.5^2 = .2092: docs/explanation/validation.md, Sea and gusts; U19.5 = 1.026 U10
+    # Hs g / U19.5^2 = .2092: tests/usv_gym/published; U19.5 = 1.026 U10
     state = SeaState.from_wind(4.5, gusts="none")
     assert state.hs == pytest.approx(0.2092 * (1.026 * 4.5) ** 2 / GRAVITY, rel=1e-3)
     assert state.hs == pytest.approx(0.455, abs=1e-3)
@@ -201,7 +190,7 @@ def test_no_gust_repeats_within_an_hour(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "sigma"), [("npd", 0.871), ("harris", 1.22), ("davenport", 1.20)])
 def test_realised_gusts_have_the_standard_deviation(name: str, sigma: float) -> None:
-    # sigma at 10 m/s: docs/explanation/validation.md, Sea and gusts. A random frequency in each
+    # sigma at 10 m/s: tests/usv_gym/published. A random frequency in each
     # of 32 bins: 2 % in the mean of 20, and three figures of the numbers
     seas = [realise(SeaState(wind=10.0, gusts=name), seed) for seed in range(20)]
     variance = np.mean([0.5 * np.sum(sea.gusts[2] ** 2) for sea in seas])
@@ -292,21 +281,6 @@ def test_files_of_spreadsheets_and_analysers_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(SeaState(spectrum=path).spectrum.omega, MEASURED.omega, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"wind": 5.0, "wind_from": 90.0}, "wind_from = 90.0.*math.radians"),
-        ({"hs": 5.0, "spectrum": "jonswap", "tp": 2.0}, "such waves break; .* at most 0.89 m"),
-        ({"hs": 1.0, "gamma": 2.0}, "gamma = 2.0: only the spectrum jonswap"),
-    ],
-)
-def test_seas_that_contradict_themselves_are_refused(kwargs: dict[str, Any], message: str) -> None:
-    with pytest.raises(SeaError, match=message):
-        SeaState(**kwargs)
-    with pytest.raises(SeaError, match=r"unknown value.* Hs; known: hs, wind"):
-        SeaState().replace(Hs=2.0)
-
-
 def test_a_height_scales_a_measured_spectrum() -> None:
     own, twice = (SeaState(spectrum=MEASURED, hs=hs) for hs in (0.0, 2.0 * MEASURED.moments.hs))
     assert twice.hs == 2.0 * own.hs
@@ -318,18 +292,12 @@ def test_a_height_scales_a_measured_spectrum() -> None:
 @pytest.mark.parametrize(
     ("header", "rows", "message"),
     [
-        ("f,S", [(0.1, 1), (0.2, 1), (0.3, 1)], "header 'f,S' must be frequency_hz,density"),
-        ("", [], "header '' must be"),
-        (HERTZ, [(0.1, 1), (0.2, 1)], "2 frequencies and 2 densities: must have"),
-        (HERTZ, [], "0 frequencies and 0 densities: must have"),
-        (HERTZ, [(0.1, 1), (0.3, 1), (0.2, 1)], "row 3: frequency must be above 0 and above that"),
-        (HERTZ, [(-0.1, 1), (0.1, 1), (0.2, 1)], "row 1: frequency must be above 0"),
-        (HERTZ, [(0.1, 1), (0.1, 1), (0.2, 1)], "row 2: frequency must be above 0 and above that"),
-        (HERTZ, [(0.1, 1), (0.2, -1), (0.3, 1)], "row 2: density must not be below 0"),
-        (HERTZ, [(0.1, 1), (0.2, "nan"), (0.3, 1)], "row 2: density must be a finite number"),
-        (HERTZ, [(0.1, 1), (0.2, ""), (0.3, 1)], "row 2: '0.2,' must be two numbers"),
-        (HERTZ, [("x", 1), (0.2, 1), (0.3, 1)], "row 1: 'x,1' must be two numbers"),
-        (HERTZ, [(0.1, 1), (0.2,), (0.3, 1)], "row 2: '0.2' must be two numbers"),
+        ("f,S", [(0.1, 1), (0.2, 1), (0.3, 1)], "header"),
+        (HERTZ, [(0.1, 1), (0.2, 1)], "3 frequencies"),
+        (HERTZ, [(0.1, 1), (0.3, 1), (0.2, 1)], "row 3: frequency"),
+        (HERTZ, [(0.1, 1), (0.2, -1), (0.3, 1)], "row 2: density"),
+        (HERTZ, [(0.1, 1), (0.2, "nan"), (0.3, 1)], "row 2: density"),
+        (HERTZ, [(0.1, 1), (0.2,), (0.3, 1)], "row 2"),
         (HERTZ, [(0.1, 0), (0.2, 0), (0.3, 0)], "no energy"),
     ],
 )
@@ -466,76 +434,37 @@ def test_elevation_is_the_kernels_at_every_point() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "rule"),
+    ("kwargs", "word"),
     [
-        ("hs", -0.1, "between 0 and 20"),
-        ("hs", 25.0, "between 0 and 20"),
-        ("wind", -1.0, "between 0 and 75"),
-        ("current", -1.0, "between 0 and 10"),
-        ("hs", math.nan, "finite"),
-        ("wind_from", math.inf, "finite"),
-        ("wave_to", math.nan, "finite"),
-        ("components", 0, "between 1 and 10000"),
-        ("components", 20_000, "between 1 and 10000"),
-        ("components", 2.5, "whole"),
-        ("tp", 0.0, "between 0.1 and 60"),
-        ("gamma", 0.5, "between 1 and 10"),
-        ("gamma", True, "finite"),
-        ("spreading", -1.0, "between 0 and 1000"),
-        ("wind_sd", -1.0, "between 0 and 20"),
-        ("wind_tau", 0.0, "between 1 and 100000"),
-        ("wind_from_sd", 4.0, "between 0 and 3.14159"),
-        ("wind_from_tau", 0.0, "between 1 and 100000"),
+        ({"hs": -0.1}, "hs"),
+        ({"hs": None}, "hs"),
+        ({"wind_from": math.inf}, "wind_from"),
+        ({"wind_from": 90.0}, "radians"),
+        ({"components": 2.5}, "components"),
+        ({"spectrum": "pn"}, "jonswap"),
+        ({"spectrum": "no.csv"}, "no.csv"),
+        ({"gusts": "kaimal"}, "davenport"),
+        ({"discretisation": "equal"}, "equal-energy"),
+        ({"hs": 1.0, "tp": 5.0}, "tp"),
+        ({"hs": 1.0, "gamma": 2.0}, "gamma"),
+        ({"hs": 5.0, "spectrum": "jonswap", "tp": 2.0}, "break"),
+        ({"schedule": [(0.0, 1.0)]}, "schedule"),
+        ({"schedule": [(float(i), 1.0, 1.0) for i in range(9)]}, "8 or fewer"),
+        ({"schedule": [(0.0, -1.0, 1.0)]}, r"schedule\[0\].hs"),
+        ({"schedule": [(5.0, 1.0, 1.0), (5.0, 2.0, 1.0)]}, r"schedule\[1\].time"),
+        ({"schedule": [(0.0, 1.0, 1.0)], "wind": 0.5}, "left out"),
     ],
 )
-def test_seas_that_cannot_be_are_refused(name: str, value: float, rule: str) -> None:
-    with pytest.raises(SeaError, match=f"{name} = {value}: must .*{rule}"):
-        SeaState(**{name: value})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"spectrum": "pn"}, "spectrum = 'pn': unknown; known: pm, jonswap, ittc, or the path"),
-        ({"spectrum": 3}, "spectrum = 3: unknown; known: pm, jonswap, ittc"),
-        ({"spectrum": "no.csv"}, "no.csv: cannot be read as a spectrum"),
-        ({"gusts": "kaimal"}, "gusts = 'kaimal': unknown; known: npd, harris, davenport, none"),
-        ({"gusts": None}, "gusts = None: unknown"),
-        ({"discretisation": "equal"}, "discretisation = 'equal': unknown; known: equal-energy, r"),
-        ({"hs": None}, "hs = None: must be a finite number"),
-        ({"hs": 1.0, "tp": 5.0}, "tp = 5.0: only the spectra jonswap and ittc"),
-        ({"spectrum": MEASURED, "tp": 5.0}, "tp = 5.0: only the spectra jonswap and ittc"),
-        ({"schedule": 3}, "schedule = 3: must be a sequence of"),
-        ({"schedule": [(0.0, 1.0)]}, "must be a sequence of"),
-        (
-            {"schedule": [(float(i), 1.0, 1.0) for i in range(9)]},
-            "of 9 moments: must have 8",
-        ),
-        ({"schedule": [(0.0, -1.0, 1.0)]}, r"schedule\[0\].hs = -1.0: must lie between 0 and 20"),
-        (
-            {"schedule": [(math.nan, 1.0, 1.0)]},
-            r"\[0\].time = nan: must be a finite number",
-        ),
-        ({"schedule": [(0.0, 1.0, None)]}, r"schedule\[0\].wind = None: must be a finite number"),
-        (
-            {"schedule": [(5.0, 1.0, 1.0), (5.0, 2.0, 1.0)]},
-            r"schedule\[1\].time = 5.0: must come after",
-        ),
-        ({"schedule": [(0.0, 1.0, 1.0)], "hs": 0.5}, "hs = 0.5: must be left out where a"),
-        (
-            {"schedule": [(0.0, 1.0, 1.0)], "wind": 0.5},
-            "wind = 0.5: must be left out where a schedule",
-        ),
-    ],
-)
-def test_further_seas_that_cannot_be_are_refused(kwargs: dict[str, object], message: str) -> None:
-    with pytest.raises(SeaError, match=message):
+def test_seas_that_cannot_be_are_refused(kwargs: dict[str, object], word: str) -> None:
+    with pytest.raises(SeaError, match=word):
         SeaState(**kwargs)  # type: ignore[arg-type]
 
 
 def test_unknown_names_list_those_there_are() -> None:
-    with pytest.raises(SeaError, match="'9'; known: calm, 0, 1, 2, 3"):
+    with pytest.raises(SeaError, match="calm"):
         SeaState.named("9")
+    with pytest.raises(SeaError, match="Hs"):
+        SeaState().replace(Hs=2.0)
     state = SeaState(hs=0.2)
     assert SeaState.named(state) is state
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,6 @@ __all__ = [
     "number_of",
     "reference_of",
     "run_label",
-    "text_of",
 ]
 
 Array = NDArray[np.float64]
@@ -47,15 +46,6 @@ class PredictorFigure:
     """What the pictures show of one predictor on one run."""
 
     examples: list[Prediction]  # at most three, made at the same times by all predictors
-    t: Array  # (M,): times of the parameter history, s
-    # (M, p): model parameters and their standard deviations; no columns where there is no model
-    params: Array
-    params_sd: Array
-    # of the p parameters
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    # first and last + 1 parameter of the equation of each motion
-    blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
     deck: DeckHistory | None = None  # with six degrees of freedom
 
 
@@ -179,12 +169,6 @@ def run_label(run: RunFigure) -> str:
     """Return scenario, fault and seed for headings."""
     fault = "no fault" if run.fault == "none" else f"fault {run.fault}"
     return f"{run.scenario}, {fault}, seed {run.seed}"
-
-
-def text_of(row: Mapping[str, Any], key: str) -> str:
-    """Return a text of a row of results; empty where there is none."""
-    value = row.get(key)
-    return "" if value is None else str(value)
 
 
 def number_of(row: Mapping[str, Any], key: str) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +29,7 @@ Entry = tuple[Any, str]
 DPI = 130
 
 WIDTH = 4.6
-"""Width of a picture in the report, inch: letters of 10 pt are 11 pixels high on a phone."""
+"""Width of a picture in the report, inch."""
 
 # Okabe and Ito's colours suit any kind of colour vision; the line styles need no colours.
 BLACK, GREY, YELLOW = "#000000", "#808080", "#F0E442"
@@ -101,7 +103,7 @@ def new_figure(
     mosaic: list[list[Any]],
     size: tuple[float, float],
 ) -> tuple[Figure, dict[Any, Axes]]:
-    """Return a picture with a legend above its panels.
+    """Return a picture with title and legend above its panels.
 
     ``about`` stands below the title. ``entries`` are the (handle, text) of the legend, ``mosaic``
     as for ``Figure.subplot_mosaic``, ``size`` the width and the height without the legend, inch.
@@ -109,41 +111,28 @@ def new_figure(
     from matplotlib.figure import Figure
 
     width, height = size
-    # a letter of 9.5 pt is 0.08 inch wide on average; line and gaps 0.58
     handles, labels = zip(*entries, strict=True)
-    longest = max(map(len, labels))
-    columns = max(1, min(len(entries), int(width / (0.08 * longest + 0.58))))
+    # a letter is 0.08 inch wide on average; line and gaps 0.58
+    columns = max(1, min(len(entries), int(width / (0.08 * max(map(len, labels)) + 0.58))))
     height += 0.55 + 0.19 * -(-len(entries) // columns)
-    fig = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
-    fig.set_layout_engine("constrained", w_pad=0.06, h_pad=0.07)
-    top = 1.0 - 0.05 / height
-    fig.text(0.06 / width, top, title, fontsize=11, weight="bold", va="top", parse_math=False)
-    most = int(width / 0.08)
-    if len(about) > most:
-        about = f"{about[: most // 2 - 2]} ... {about[-most // 2 + 3 :]}"
+    fig = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
     legend = fig.legend(
         handles,
         labels,
-        # the first line is the place of the title
-        title=f"\n{about}",
-        title_fontsize=9.5,
+        title=f"{title}\n{fill(about, int(width / 0.08))}",
+        title_fontsize=10,
         alignment="left",
         loc="outside upper left",
         ncols=columns,
         frameon=False,
         fontsize=9.5,
-        borderpad=0.1,
-        borderaxespad=0.4,
-        labelspacing=0.35,
+        borderaxespad=0.2,
         handlelength=2.8,
-        handletextpad=0.5,
-        columnspacing=0.9,
     )
     for text in (legend.get_title(), *legend.get_texts()):
         text.set_parse_math(False)
     axes = fig.subplot_mosaic(mosaic)
     for ax in axes.values():
-        # the grid shows where the ticks are
         ax.tick_params(labelsize=9, length=0, pad=3)
         ax.spines[["top", "right"]].set_visible(False)
         ax.spines[["left", "bottom"]].set_color(GREY)
@@ -153,19 +142,16 @@ def new_figure(
 
 
 def set_title(ax: Axes, text: str) -> None:
-    """Write a panel's title at a fixed place: the search for a free one is slow."""
+    """Write a panel's title; with a given height, matplotlib does not search for one."""
     ax.set_title(text, loc="left", fontsize=10, pad=5, y=1.0, parse_math=False)
 
 
 def set_ticks(ax: Axes, across: int, up: int, label: str | None) -> None:
     """Set the largest numbers of ticks, and the horizontal axis's label; None hides its numbers."""
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+    from matplotlib.ticker import MaxNLocator
 
-    for axis, number in ((ax.xaxis, across), (ax.yaxis, up)):
-        axis.set_major_locator(MaxNLocator(number, steps=[1, 2, 5, 10]))
-        form = ScalarFormatter(useOffset=False)
-        form.set_scientific(False)
-        axis.set_major_formatter(form)
+    ax.xaxis.set_major_locator(MaxNLocator(across, steps=[1, 2, 5, 10]))
+    ax.yaxis.set_major_locator(MaxNLocator(up, steps=[1, 2, 5, 10]))
     if label is None:
         ax.tick_params(labelbottom=False)
     else:
@@ -180,8 +166,7 @@ def lost_within(lost: Windows, log: Log) -> list[tuple[float, float]]:
 def shade_lost(ax: Axes, lost: Windows, origin: float = 0.0) -> None:
     """Shade the times without GPS; ``origin`` is the time at the axis's 0."""
     for a, b in lost:
-        ax.axvspan(a - origin, b - origin, color=YELLOW, alpha=0.2, lw=0, zorder=0)
-        ax.axvspan(a - origin, b - origin, ymax=0.05, color=YELLOW, lw=0, zorder=2)
+        ax.axvspan(a - origin, b - origin, color=YELLOW, alpha=0.3, lw=0, zorder=0)
 
 
 def limits_of(parts: Iterable[Array], least: float, margin: float) -> tuple[float, float]:
@@ -196,19 +181,29 @@ def limits_of(parts: Iterable[Array], least: float, margin: float) -> tuple[floa
     return middle - half, middle + half
 
 
-def mark_exit(ax: Axes, x: Array, y: Array, limits: tuple[float, float], colour: str) -> None:
-    """Mark with an arrow head where a curve first leaves the limits."""
-    low, high = limits
-    outside = (y < low) | (y > high)
-    if not outside.any():
-        return
-    k = int(np.argmax(outside))
-    up = bool(y[k] > high)
-    edge = high if up else low
-    at = float(x[0])
-    if k:
-        # the place on the edge, between the last point inside and the first outside
-        at = x[k - 1] + (edge - y[k - 1]) / (y[k] - y[k - 1]) * (x[k] - x[k - 1])
-    edge -= (0.045 if up else -0.045) * (high - low)
-    marker = "^" if up else "v"
-    ax.plot([at], [edge], marker=marker, color=colour, ms=7, clip_on=False, zorder=6)
+# files
+def picture_bytes(fig: Figure, kind: str) -> bytes:
+    """Return a picture as a file of a kind: png, svg or pdf; equal pictures are equal bytes."""
+    import matplotlib
+
+    no_date = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(
+        {
+            "svg.fonttype": "none",  # text as text
+            "svg.hashsalt": "usv-twin",
+            "pdf.fonttype": 42,  # TrueType, as journals ask for
+            "font.sans-serif": [
+                "DejaVu Sans",
+                "Verdana",
+                "sans-serif",
+            ],  # the first two are as wide
+            "path.simplify_threshold": 0.5,
+        }
+    ):
+        if (layout := fig.get_layout_engine()) is not None:
+            # matplotlib would draw the whole picture once more to lay it out
+            fig.set_layout_engine(None)
+            layout.execute(fig)
+        fig.savefig(buffer, format=kind, metadata=no_date[kind])
+    return buffer.getvalue()

@@ -124,7 +124,7 @@ KNOWN_TIME = 2.0
 
 SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
 """Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad (a unit slip
-to degrees is found by ``usv-twin log check``)."""
+to degrees is found by ``usv-twin check``)."""
 
 LAG_MIN = 0.05
 """Least lag of the actuators, s."""

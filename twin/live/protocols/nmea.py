@@ -51,7 +51,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import date, datetime, time, timezone
+from datetime import UTC, date, datetime, time
 from typing import Any
 
 import numpy as np
@@ -175,7 +175,7 @@ class NmeaFeed(Feed):
     def _day(self, stamp: float) -> date:
         """Return the date of a time of day: that of the last date received, or the nearest."""
         if self._date is None:
-            return datetime.now(timezone.utc).date()
+            return datetime.now(UTC).date()
         given, at = self._date
         turn = round((at - stamp) / DAY)
         return date.fromordinal(min(max(given.toordinal() + turn, 1), date.max.toordinal()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import date, datetime, timezone
+from datetime import UTC, date, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,7 +214,7 @@ class NmeaWriter:
         place : tuple of float or None
             Latitude and longitude of the fix, degrees.
         """
-        moment = datetime.fromtimestamp(round(when, 3), timezone.utc)
+        moment = datetime.fromtimestamp(round(when, 3), UTC)
         stamp = when % DAY
         known = dict.fromkeys(MEASUREMENTS, math.nan)
         known |= zip(MEASUREMENTS, z.tolist(), strict=False)

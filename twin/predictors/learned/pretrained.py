@@ -1,6 +1,6 @@
 """Networks trained on a fleet of simulated boats, evaluated in plain numpy.
 
-:mod:`twin.training.fleet` trains them, with torch; nothing here needs it. A net sees the last
+``examples/priors/fleet.py`` trains them, with torch; nothing here needs it. A net sees the last
 :data:`PAST` s of a run and the plan as tokens of a second each. They are in lengths of the boat and
 its typical speed, with masks for what is missing. It answers with the increments of u, v, r under
 the plan. So it has to infer the boat from the run itself.
@@ -163,7 +163,7 @@ class Weights:
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
         """Read weights of a net; WeightsError says what is wrong, and how to make new ones."""
-        remedy = f"make a new one: python -m twin.training.fleet {kind}"
+        remedy = "make a new one with examples/priors/fleet.py"
         if not Path(path).exists():
             raise WeightsError(f"{path}: is missing; reinstall usv-twin, or {remedy}")
         arrays = read_archive(path, WeightsError, "file of weights of a net", remedy)
@@ -318,7 +318,7 @@ def run_transformer(w: dict[str, Array], x: Array) -> Array:
 class FleetPredictor(ActuatedPredictor):
     """A network that was trained once on simulated boats; subclasses say which.
 
-    Its weights ship with the package; ``python -m twin.training.fleet`` makes new ones.
+    Its weights ship with the package; ``examples/priors/fleet.py`` makes new ones.
     WeightsError: they are missing, damaged or of another version. The net learns nothing more
     during a run, and draws nothing at random.
     """
@@ -406,10 +406,9 @@ class FleetPredictor(ActuatedPredictor):
 class FleetLSTM(FleetPredictor):
     """An LSTM, trained once on simulated boats.
 
-    Tuning budget: 40 configurations of 8192 windows each, by successive halving in five rungs
-    (:mod:`twin.training.hyperparameter_search`), 77 trainings, scored on 60 other boats of the
-    fleet. 6 short trainings came before that. The settings of the training that ships are in its
-    file.
+    Tuning budget: 40 configurations of 8192 windows each, by successive halving in five rungs,
+    77 trainings, scored on 60 other boats of the fleet. 6 short trainings came before that. The
+    settings of the training that ships are in its file.
     """
 
     tuning = "40 configurations by successive halving (77 trainings) on 60 boats of the fleet"

@@ -8,7 +8,6 @@ import pytest
 
 from twin.benchmark.protocol import Settings
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of, verdict_rows
-from twin.benchmark.verdict.tables import verdict_grid
 
 SETTINGS = Settings(plans=("known", "hold"), predictors=("persistence", "ukf", "oracle"))
 
@@ -52,13 +51,10 @@ def test_other_seas_are_left_out_of_the_verdict():
 
 def test_sentence_names_metres_degrees_ratio_and_the_next():
     text = sentence_of(verdict_rows(runs(), SETTINGS))
-    assert text.startswith("10 s ahead var is 2.50 m and 2.5 deg off in the mean, with a loss 3.75")
-    assert "0.12 [0.12, 0.12] of persistence; nearer than ukf, the next, in 8 of 8 runs" in text
+    for part in ("var", "2.50 m", "2.5 deg", "3.75 m", "0.12 [0.12, 0.12]", "ukf", "8 of 8"):
+        assert part in text
     alone = sentence_of(verdict_rows(runs(("ukf",), seeds=1), SETTINGS))
-    assert (
-        alone
-        == "10 s ahead ukf is 2.00 m and 2.0 deg off in the mean, with a loss 3.00 m and 3.0 deg."
-    )
+    assert "ukf" in alone and "persistence" not in alone and "next" not in alone
     assert sentence_of([]) == ""
 
 
@@ -66,8 +62,6 @@ def test_verdict_without_persistence_has_no_ratio():
     rows = verdict_rows(runs(("var", "ukf")), SETTINGS)
     assert {row["ratio"] for row in rows} == {None}
     assert [row["predictor"] for row in rows][::3] == ["var", "ukf"]
-    grid = verdict_grid(rows)
-    assert grid is not None and "-" in {cell.text for cell in grid.rows[0]}
 
 
 def test_recorded_blocks_hold_the_first_plan_and_the_ends_of_losses():

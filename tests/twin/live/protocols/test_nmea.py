@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from twin.particulars import Particulars
 
 pynmeagps = pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 
-START = datetime(2024, 2, 29, 23, 59, 50, tzinfo=timezone.utc).timestamp()
+START = datetime(2024, 2, 29, 23, 59, 50, tzinfo=UTC).timestamp()
 
 
 def line(body: str, tag: str = "") -> bytes:

@@ -1,23 +1,23 @@
 from __future__ import annotations
 
-import re
+import runpy
 import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from tests.twin.live.wire import RUN, Wire, disturbed, free_port
+from tests.twin.live.wire import Wire, disturbed, free_port
 from twin import Twin
-from twin.cli.main import app
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.replay import (
+    ORIGIN,
     MavlinkStream,
     NmeaStream,
     Stream,
@@ -29,9 +29,12 @@ from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
+from usv_kernel.errors import UsvTwinError
 
 pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
+
+ROOT = Path(__file__).resolve().parents[4]
 
 MIDNIGHT = 1.7e9 - 1.7e9 % 86400
 KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], Stream], float, float]] = {
@@ -176,49 +179,27 @@ def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> N
             assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
 
-def test_replay_command_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
+def test_the_example_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "run.csv"
     simulated[0].slice(0.0, 5.0).write(path)
-    address = f"udp://:{free_port()}"
-    with NmeaFeed(address, simulated[1]) as feed:
-        asked = ["replay", str(path), "--nmea", address, "--speed", "10"]
-        result = CliRunner().invoke(app, asked)
-        assert result.exit_code == 0, result.output
-        assert re.search(r"sent to udp://:\d+: 1\d\d rows", result.output)
-        feed.take()
-        assert feed.counts["used"] > 100
-    assert "no sentence for accel_x_mps2, accel_y_mps2: not sent" in " ".join(result.output.split())
-
-
-def test_the_help_of_replay_lists_the_sentences_and_messages_that_carry_attitude() -> None:
-    text = CliRunner().invoke(app, ["replay", "--help"]).output
-    assert {"GGA", "PASHR", "XDR", "MWV", "HIGHRES_IMU"} <= set(re.findall(r"[A-Z_]+", text))
+    send = runpy.run_path(str(ROOT / "examples" / "replay.py"))["main"]
+    for kind, feed_of in (("--nmea", NmeaFeed), ("--mavlink", MavlinkFeed)):
+        address = f"udp://:{free_port()}"
+        with feed_of(address, simulated[1]) as feed:
+            send([str(path), kind, address, "--speed", "10", "--ship", "usv75"])
+            feed.take()
+            assert feed.counts["used"] > 100
 
 
 @pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        ([], "name one of"),
-        (["--nmea", "udp://:1", "--mavlink", "udp://:2"], "name one of"),
-        (["--nmea", "tcp://:1"], "udp"),
-        (["--nmea", "udp://:1", "--origin", "x"], "LAT,LON"),
-        (["--nmea", "udp://:1", "--origin", "91,0"], "latitude"),
-        (["--nmea", "udp://:1", "--speed", "0"], "speed"),
-    ],
+    ("address", "speed", "place"),
+    [("tcp://:1", 1.0, ORIGIN), ("udp://:1", 0.0, ORIGIN), ("udp://:1", 1.0, (91.0, 0.0))],
 )
-def test_wrong_commands_are_reported(options: list[str], why: str) -> None:
-    result = CliRunner().invoke(app, ["replay", str(RUN), *options])
-    assert result.exit_code == 2
-    assert why in result.output + result.stderr
-
-
-def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("twin.cli.logs.replay.replay", interrupted)
-    result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{free_port()}"])
-    assert result.exit_code == 130
+def test_what_cannot_be_sent_is_refused(
+    circle: Log, address: str, speed: float, place: tuple[float, float]
+) -> None:
+    with pytest.raises(UsvTwinError):
+        replay(circle, NmeaStream(place), address, speed=speed)
 
 
 def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:

@@ -1,4 +1,0 @@
-"""Validation of ship and sea, for ``usv-twin validate``.
-
-May import everything else in usv_gym.
-"""
