@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS, PSI, R, U, V, X, Y
-from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
 from twin.live.protocols.sockets import Address, needed
@@ -198,9 +197,9 @@ class MavlinkFeed(Feed):
                 yield write.floats(self.stamp_of(prediction.t0), b"motion", table)
                 yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.known_quiet)
 
-    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
         """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""
-        return self._writer.text(status.why or f"{sensor} {status.status}", status.status != "ok")
+        return self._writer.text(why or f"{sensor} {status}", status != "ok")
 
     def _message(self, item: Any) -> Message | str:
         """Return what a message says, or how it counts."""

@@ -58,7 +58,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, R
-from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea_writer import DAY, KNOT, NmeaWriter
 from twin.live.protocols.sockets import FeedError, needed
@@ -168,9 +167,9 @@ class NmeaFeed(Feed):
             lines.append(write.quiet(made, motion.known_quiet))
         yield "".join(lines).encode()
 
-    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
         """See :meth:`Feed.encode_health`."""
-        return self._writer.health(stamp, sensor, status.status).encode()
+        return self._writer.health(stamp, sensor, status).encode()
 
     def _day(self, stamp: float) -> date:
         """Return the date of a time of day: that of the last date received, or the nearest."""

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import PLANS
-from twin.health.monitor import SensorStatus
-from twin.live.external.view import SitlSession
+from twin.live.external.simulated import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -382,7 +381,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
     )
     lines["IMU"] = "none" if not now.has_imu else "LOST" if now.imu_lost else "on"
-    lines |= checks(now.health)
+    lines |= checks(now)
     if now.current is not None:
         north, east, *sds = now.current
         sd = math.sqrt(0.5 * (sds[0] ** 2 + sds[1] ** 2))
@@ -425,17 +424,19 @@ def outcome(session: Session) -> dict[str, str]:
     return lines
 
 
-def checks(health: dict[str, SensorStatus]) -> dict[str, str]:
+def checks(now: Snapshot) -> dict[str, str]:
     """Return which sensors agree with each other, and of the others since when not, and why."""
     lines = {}
     for status in ("ok", "absent"):
         # the navigation filter is no sensor: it is shown where it is in doubt
         names = ", ".join(
-            name for name, each in health.items() if each.status == status and name != "navigation"
+            name
+            for name, each in now.health.items()
+            if each.status == status and name != "navigation"
         )
         if names:
             lines[f"sensors {status}"] = names
-    for name, each in health.items():
+    for name, each in now.health.items():
         if each.status in ("doubtful", "excluded"):
             why = each.why.removeprefix(f"{name} ")
             lines[f"{name} (check)"] = f"{each.status.upper()} since {each.since:.1f} s: {why}"
@@ -475,10 +476,6 @@ HELP = (
     "<b>Sensors</b> are held against each other, and the commands against the motion. A DOUBTFUL "
     "one is used; an EXCLUDED one is not, until it agrees with the others again.",
     "<b>Current</b>: velocity of the water as the twin's model has it, and where it flows to.",
-    "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
-    "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
-    "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "
-    "too sure.",
     f"<b>Parameters</b> of the twin's model, with {SDS:g} standard deviations (dotted). X, Y, N "
     "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
     "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "

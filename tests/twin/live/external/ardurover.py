@@ -19,8 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from tests.twin.live.wire import free_port
 from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation, ExternalOptions
-from twin.live.external.peer import AutopilotPeer
-from twin.live.external.port import MavlinkPort
+from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of

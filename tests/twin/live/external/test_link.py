@@ -15,8 +15,7 @@ from tests.twin.live.wire import estimate_of, free_port
 from twin.digital_twin import Twin
 from twin.live.external.link import Link, carried
 from twin.live.external.navigation import ExternalNavigation, ExternalOptions
-from twin.live.external.peer import AutopilotPeer
-from twin.live.external.port import MavlinkPort
+from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.receiver import ReceiverFeed
 from twin.live.protocols.mavlink import JumpCounter
 from twin.live.protocols.sockets import FeedError
