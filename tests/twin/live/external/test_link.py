@@ -143,23 +143,6 @@ def test_rows_are_those_of_the_receiver_and_not_of_the_estimate(both: Both) -> N
     assert fixes[:, 1] == pytest.approx(SPEED)
 
 
-def test_a_receiver_without_a_fix_gives_no_place(both: Both) -> None:
-    both.sail(2.0)
-    both.pilot.fix_type = 1
-    both.sail(1.0)
-    both.rows.clear()
-    both.sail(3.0)
-    assert len(both.rows) > 50
-    assert not any(np.isfinite(z[GPS_X]) for _, z, _ in both.rows)
-
-
-def test_the_autopilot_is_asked_for_what_rows_are_made_of(both: Both) -> None:
-    both.sail(2.0)
-    asked = {int(c.param1) for c in both.pilot.heard["COMMAND_LONG"] if c.command == 511}
-    assert asked == {24, 27, 30, 36}
-    assert 512 in {c.command for c in both.pilot.heard["COMMAND_LONG"]}
-
-
 def test_odometry_is_in_the_frame_of_the_autopilot_and_of_the_present(both: Both) -> None:
     both.sail(4.0)
     last = both.pilot.heard["ODOMETRY"][-1]

@@ -11,14 +11,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from twin import Log, Particulars, Twin
 from twin.live.protocols.feed import COUNTS, Feed
-from twin.live.sessions import sailing, simulated
+from twin.live.sessions import simulated
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -263,20 +262,6 @@ def test_a_vessel_that_runs_away_is_stopped_and_said(tmp_path):
     assert np.isfinite(session.simulation.state).all()
 
 
-def test_a_log_that_cannot_be_begun_is_reported(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path / "file" / "folder")
-    (tmp_path / "file").write_text("no folder")
-    session.order(session.toggle_record)
-    session._obey()
-    assert "choose another folder" in session.message and not session.recording
-    session.folder = tmp_path / "good"
-    session.order(session.toggle_record)
-    sail(session, 1.0)
-    session.order(session.toggle_record)
-    session._obey()
-    assert len(Log.read(session.recorded)) == 20 and not session.recording
-
-
 def test_rows_that_the_disk_does_not_take_are_kept_until_it_does(tmp_path, full_disk):
     session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.order(session.toggle_record)
@@ -317,18 +302,6 @@ def test_the_wind_changes_without_the_waves(tmp_path):
     assert np.isfinite(session.simulation.state).all()
 
 
-def test_losses_and_pauses_are_toggled_where_they_are_carried_out(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    for call in (session.toggle_paused, session.toggle_paused):
-        session.order(call)
-    session.order(session.toggle_loss, "gps")
-    session._obey()
-    assert not session.paused and session.is_lost("gps") and not session.is_lost("imu")
-    session.order(session.lose, "gps", 10.0)  # takes the place of the endless one
-    session._obey()
-    assert not session.is_lost("gps")
-
-
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
     session = SimulatedSession(setup(), tmp_path)
     session.set_scale(5.0)
@@ -347,16 +320,6 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
     session.stop()
     assert session.error is None
     assert len(Log.read(session.recorded)) > 50
-
-
-def test_time_scale_sets_the_pace(tmp_path, monkeypatch):
-    session = SimulatedSession(setup(), tmp_path)
-    session.set_scale(5.0)
-    clock = SimpleNamespace(monotonic=lambda: 2.0)
-    monkeypatch.setattr(sailing, "time", clock)
-    session._anchor, begin = (0.0, session.t), session.t
-    session._advance()
-    assert session.t - begin == pytest.approx(10.0, abs=1e-6)
 
 
 def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
@@ -421,16 +384,6 @@ def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
         k = int(np.argmin(np.abs(log.t - (now.t + end))))
         assert np.hypot(*(now.overlay.ahead[-1, :2] - log.truth[k, :2])) < 15.0
         before = now
-
-
-def test_a_log_plays_and_ends(log, tmp_path):
-    session = through(log.without_truth(), tmp_path)
-    session.order(session.set_scale, 10.0)
-    session.order(session.seek, 37.0)
-    wait(lambda: session.snapshot is not None and session.snapshot.t == log.t[-1])
-    assert len(session.snapshot.ahead) == 0
-    assert session.error is None
-    session.stop()
 
 
 def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):
@@ -520,15 +473,6 @@ def test_a_feed_that_falls_silent_is_reported_and_gets_no_more_answers(log, tmp_
     assert not session.monitor.fixes and not session.monitor.twin.estimate().ready
     session.stop()
     assert session.error is None
-
-
-def test_a_boat_without_an_imu_has_not_lost_it(log, tmp_path):
-    z = log.z.copy()
-    z[:, 5:] = math.nan
-    session = through(Log(log.t, z, log.cmd, None, "bare"), tmp_path)
-    wait(lambda: session.snapshot is not None)
-    assert not session.snapshot.has_imu and not session.snapshot.imu_lost
-    session.stop()
 
 
 def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):

@@ -7,7 +7,6 @@ import math
 import socket
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -258,28 +257,6 @@ def test_orders_that_fail_are_answered_on_the_page_and_the_view_goes_on(steered,
     assert session.error is None
 
 
-def test_a_boat_that_takes_over_within_a_frame_is_shown_in_the_next(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    viewer = Viewer(session, port=free_port(socket.SOCK_STREAM))
-    session.snapshot = session._look()
-
-    def take_over(*_shown: object) -> None:
-        session.restart(replace(session.setup, predictor="ukf"))
-        raise IndexError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(viewer.curves, "show", take_over)
-        viewer.step(1.0)
-        assert session.changed == 2
-    viewer.step(2.0)
-    assert viewer.curves.blocks
-    viewer.curves.show = lambda: 1 / 0  # a mistake of ours is not hidden
-    viewer._curves_behind = True
-    with pytest.raises(ZeroDivisionError):
-        viewer.step(3.0)
-    viewer.close()
-
-
 def test_the_moment_and_the_plan_of_a_log_are_checked(served, tmp_path):
     vessel = setup().vessel
     log = simulate("zigzag", vessel=vessel, sea=SeaState(), duration=20.0, seed=1, dof=3)
@@ -296,12 +273,3 @@ def test_the_moment_and_the_plan_of_a_log_are_checked(served, tmp_path):
         session.order(session.seek, NAN)
         wait(lambda: "finite" in session.message)
     assert 0.0 <= session.at <= 20.0 and session.plan == "known"
-
-
-def test_a_port_of_another_is_left_to_it(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    port = free_port(socket.SOCK_STREAM)
-    with socket.create_server(("127.0.0.1", port)):
-        viewer = Viewer(session, port=port)
-        assert viewer.port != port
-        viewer.close()
