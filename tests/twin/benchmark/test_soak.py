@@ -11,12 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import disturbed
+from tests.twin.live.wire import disturbed, example
 from twin import PREDICTORS, Twin, known_plan
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.digital_twin import TwinError
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import NmeaStream, schedule
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.envs.episodes import BOUND, CapsizeWarning
@@ -149,7 +148,7 @@ def test_a_feed_over_a_poor_link_is_twinned():
         seed=2,
         faults=parse_faults("on", 0.0),
     )
-    sent = schedule(log, NmeaStream((63.43, 10.4), 1.7e9))
+    sent = example.schedule(log, example.NmeaStream((63.43, 10.4), 1.7e9))
     twin, now, rows, off = Twin(particulars_of(BOAT), "ukf", seed=2), 0.0, 0, []
     with NmeaFeed(None, particulars_of(BOAT), clock=lambda: now) as feed:
         for datagram in disturbed(sent, np.random.default_rng(2), Counter()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import socket
 import subprocess
@@ -16,11 +17,19 @@ from typing import Any
 import numpy as np
 
 from twin.live.protocols.feed import Feed
-from twin.live.protocols.replay import Datagram, Stream, schedule
 from twin.logs.log import Log, recorded_runs
 from twin.motion import HORIZONS, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
+
+_SPEC = importlib.util.spec_from_file_location(
+    "replay_example", Path(__file__).resolve().parents[3] / "examples" / "replay.py"
+)
+assert _SPEC is not None and _SPEC.loader is not None
+example = importlib.util.module_from_spec(_SPEC)
+"""The example that sends a log."""
+sys.modules["replay_example"] = example
+_SPEC.loader.exec_module(example)
 
 RUN = recorded_runs()["boat1_usv_circle"]
 
@@ -33,7 +42,7 @@ class Wire:
         self.feed = kind(None, boat, clock=lambda: self.now, **options)
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
 
-    def carry(self, datagrams: Iterable[Datagram], speed: float = 1.0) -> None:
+    def carry(self, datagrams: Iterable[Any], speed: float = 1.0) -> None:
         began, first = self.now, None
         for datagram in datagrams:
             first = datagram.due if first is None else first
@@ -53,9 +62,9 @@ class Wire:
         self.rows += new
         return new
 
-    def replay(self, log: Log, stream: Stream, speed: float) -> Counter[str]:
+    def replay(self, log: Log, stream: Any, speed: float) -> Counter[str]:
         counts: Counter[str] = Counter()
-        self.carry(schedule(log, stream, counts=counts), speed)
+        self.carry(example.schedule(log, stream, counts=counts), speed)
         self.take(after=1.0)
         return counts
 
@@ -71,14 +80,14 @@ class Wire:
         return {name: count for name, count in counts.items() if count}
 
 
-def is_heartbeat(datagram: Datagram) -> bool:
+def is_heartbeat(datagram: Any) -> bool:
     """Return whether a datagram is a HEARTBEAT of MAVLink, which has no time."""
     return datagram.data[:1] == b"\xfd" and datagram.data[7] == 0
 
 
 def disturbed(
-    datagrams: Iterable[Datagram], rng: np.random.Generator, counts: Counter[str]
-) -> list[Datagram]:
+    datagrams: Iterable[Any], rng: np.random.Generator, counts: Counter[str]
+) -> list[Any]:
     """Return datagrams of which a twentieth each is late, doubled, broken or overtaken."""
     found = list(datagrams)
     end, made, k = found[-1].due - 2.0, [], 0

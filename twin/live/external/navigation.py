@@ -144,7 +144,7 @@ class ExternalNavigation:
         self.source = GPS_SOURCE
         self._wanted = GPS_SOURCE
         self._asked = self._greeted = self._origin_asked = self._fix_sent = -math.inf
-        self._fixed = self._begun = math.nan
+        self._fixed = math.nan
         self._interval = 0.2
         self._moving, self._last = 0.0, math.nan
         self._agreed: float | None = None

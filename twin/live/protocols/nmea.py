@@ -49,7 +49,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, date, datetime, time
 from typing import Any
@@ -59,16 +59,23 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, R
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.nmea_writer import DAY, KNOT, NmeaWriter
 from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
+    "DAY",
     "HORIZONS",
+    "KNOT",
     "NmeaFeed",
+    "NmeaWriter",
+    "clock_text",
 ]
 
 Array = NDArray[np.float64]
+
+DAY = 86400.0
+
+KNOT = 1852.0 / 3600.0
 
 OWN = "U9"
 """Talker of what the twin says."""
@@ -451,3 +458,163 @@ _READERS = {
     "MWD": _mwd,
     "ZDA": _zda,
 }
+
+
+class NmeaWriter:
+    """Sentences of a talker, which has two letters."""
+
+    def __init__(self, talker: str) -> None:
+        self.checksum = needed("pynmeagps").calc_checksum
+        self.talker = talker
+
+    def line(self, kind: str, *fields: str) -> str:
+        """Return a sentence with its checksum."""
+        return self._whole(self.talker + kind, *fields)
+
+    def _whole(self, *fields: str) -> str:
+        content = ",".join(fields)
+        return f"${content}*{self.checksum(content)}\r\n"
+
+    def gga(
+        self,
+        stamp: float,
+        latitude: float,
+        longitude: float,
+        quality: int,
+        height: float = math.nan,
+    ) -> str:
+        """Return a fix; ``stamp`` is the time of day, s, ``height`` m above the sea."""
+        place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
+        satellites = ("", "") if quality == 6 else ("12", "0.8")
+        return self.line(
+            "GGA",
+            clock_text(stamp),
+            *place[0],
+            *place[1],
+            f"{quality}",
+            *satellites,
+            "" if math.isnan(height) else f"{height:.3f}",
+            "M",
+            "",
+            "M",
+            "",
+            "",
+        )
+
+    def rmc(
+        self,
+        stamp: float,
+        day: date,
+        place: tuple[float, float] | None,
+        north: float | None,
+        east: float | None,
+        mode: str,
+    ) -> str:
+        """Return velocity over ground, m/s, with place and date."""
+        sides: tuple[str, ...] = ("", "", "", "")
+        if place is not None:
+            sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
+        motion = ("", "")
+        if north is not None and east is not None:
+            speed = f"{math.hypot(north, east) / KNOT:.4f}"
+            course = round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0
+            motion = speed, f"{course:.3f}"
+        return self.line(
+            "RMC", clock_text(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode
+        )
+
+    def hdt(self, heading: float) -> str:
+        """Return a true heading, given in rad."""
+        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
+
+    def rot(self, rate: float) -> str:
+        """Return a rate of turn, given in rad/s."""
+        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
+
+    def attitude(
+        self,
+        stamp: float,
+        heading: float,
+        tilt: tuple[float, float],
+        heave: float = math.nan,
+        sd: Sequence[float] | Array = (),
+    ) -> str:
+        """Return heading, roll, pitch and their standard deviations (rad), and heave (m, down).
+
+        Fields of what is NaN are empty.
+        """
+        degrees = [math.degrees(value) for value in (heading % (2.0 * math.pi), *tilt)]
+        fields = (
+            *("PASHR", clock_text(stamp)),
+            *(("", "") if math.isnan(heading) else (f"{degrees[0]:.2f}", "T")),
+            *("" if math.isnan(value) else f"{value:+.4f}" for value in degrees[1:]),
+            "" if math.isnan(heave) else f"{-heave:+.2f}",
+            *(f"{math.degrees(value):.3f}" for value in sd),
+            *[""] * (2 - len(sd)),
+            *("", "1"),
+        )
+        return self._whole(*fields)
+
+    def motion(self, stamp: float, after: float, mean: Array, sd: Array) -> str:
+        """Return a forecast (4,) of roll, pitch, heave and deck speed, with deviations (4,)."""
+        values = [*np.degrees(mean[:2]), *mean[2:], *np.degrees(sd[:2]), *sd[2:]]
+        texts = [f"{min(max(value, -999.0), 999.0):.2f}" for value in values]
+        fields = ("PUTWM", clock_text(stamp), f"{after:.1f}", *texts)
+        return self._whole(*fields)
+
+    def quiet(self, stamp: float, probabilities: Array) -> str:
+        """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
+        values = probabilities.tolist()
+        texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
+        fields = ("PUTWQ", clock_text(stamp), *texts)
+        return self._whole(*fields)
+
+    def predicted(
+        self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
+    ) -> str:
+        """Return a point of a prediction; see the head of this module.
+
+        Parameters
+        ----------
+        stamp, after : float
+            Time of day at which it was made, and the horizon, s.
+        place : tuple of float
+            Latitude and longitude, degrees.
+        heading : float
+            Rad.
+        cov : ndarray, shape (2, 2)
+            Covariance of north and east, m2.
+        """
+        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+        both = float(sd[0] * sd[1])
+        correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
+        fields = (
+            *("PUTWP", clock_text(stamp), f"{after:.1f}"),
+            *_text(place[0], "NS", 2, 5),
+            *_text(place[1], "EW", 3, 5),
+            f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
+            *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
+            f"{correlation:.2f}",
+        )
+        return self._whole(*fields)
+
+    def health(self, stamp: float, sensor: str, status: str) -> str:
+        """Return the new status of a sensor; see the head of this module."""
+        fields = ("PUTWH", clock_text(stamp), sensor, status)
+        return self._whole(*fields)
+
+
+def clock_text(stamp: float) -> str:
+    """Return a time of day, s, as ``hhmmss.sss``."""
+    ms = round(1000.0 * stamp) % 86400000
+    minutes, ms = divmod(ms, 60000)
+    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
+
+
+def _text(angle: float, sides: str, digits: int, decimals: int) -> Sequence[str]:
+    """Return an angle, degrees, as ``ddmm.mmm`` and its side."""
+    unit = 10**decimals
+    degrees, rest = divmod(round(abs(angle) * 60.0 * unit), 60 * unit)
+    minutes, part = divmod(rest, unit)
+    text = f"{degrees:0{digits}d}{minutes:02d}.{part:0{decimals}d}"
+    return text, sides[0] if angle >= 0.0 else sides[1]

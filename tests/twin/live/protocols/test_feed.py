@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.live.wire import Wire, estimate_of, free_port
+from tests.twin.live.wire import Wire, estimate_of, example, free_port
 from twin.live.protocols.feed import BYTES_MAX, Message
-from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.nmea_writer import NmeaWriter
+from twin.live.protocols.mavlink import MavlinkFeed, Servos
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.live.protocols.sockets import FeedError, parse_address
 from twin.particulars import Particulars
 
@@ -184,7 +183,7 @@ FIXES = st.builds(
     st.floats(-200.0, 200.0),
     st.floats(-400.0, 400.0),
 )
-LINK = MavlinkWriter(servos=Servos.of(BOAT))
+LINK = example.MavlinkRows(Servos.of(BOAT))
 WIDE = st.floats(allow_nan=True, allow_infinity=True, width=32)
 PACKETS = st.one_of(
     st.builds(LINK.attitude, TIMES, st.floats(-7.0, 7.0), WIDE),

@@ -209,7 +209,7 @@ def test_roll_pitch_and_climb_are_read(wire: Wire) -> None:
     wire.tell(
         write.position(7.0, (59.5, 10.5), (1.0, -2.0), down=(-3.5, 0.25)),
         write.attitude(7.0, -0.5, 0.1, (0.2, -0.1), (0.03, -0.04)),
-        write.imu(7.0, (0.5, -0.25, -9.75)),
+        highres(0b111, 0.5, -0.25, -9.75, 0.0, 0.0, 0.0),
     )
     z = wire.take(after=1.0)[0][1]
     assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.5, -0.25, -9.75])

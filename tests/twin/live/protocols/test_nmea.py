@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of, with_motion
+from tests.twin.live.wire import Wire, estimate_of, example, with_motion
 from twin.channels import (
     AHRS_PITCH,
     AHRS_ROLL,
@@ -21,7 +21,6 @@ from twin.channels import (
 )
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.nmea_writer import NOT_IN_NMEA, NmeaWriter
 from twin.particulars import Particulars
 
 pynmeagps = pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
@@ -167,7 +166,7 @@ def test_tag_blocks_tell_the_time(wire: Wire, unit: str) -> None:
 
 
 def test_estimates_go_back(wire: Wire) -> None:
-    writer = NmeaWriter("GP")
+    writer = example.NmeaRows("GP")
     z, cmd = np.full(17, np.nan), np.zeros(4)
     z[:6] = 0.0
     for t in (0.0, 20.0):  # over midnight, into the first of March
@@ -251,7 +250,7 @@ def test_height_roll_pitch_and_rates_go_out_as_they_come_in(wire: Wire) -> None:
              "gyro_radps", "gyro_x_radps", "gyro_y_radps")  # fmt: skip
     at = [MEASUREMENTS.index(name) for name in names]
     z[at] = (0.0, 0.0, -1.25, 0.2, 0.1, -0.05, 0.03, -0.2, 0.15)
-    lines = NmeaWriter("GP").row(START, z, np.zeros(4), (59.5, 10.5))
+    lines = example.NmeaRows("GP").row(START, z, np.zeros(4), (59.5, 10.5))
     kinds = [text[1:6] for text in lines]
     assert kinds.count("GPXDR") == 2 and "PASHR" in kinds
     assert max(map(len, lines)) <= 82
@@ -265,9 +264,11 @@ def test_height_roll_pitch_and_rates_go_out_as_they_come_in(wire: Wire) -> None:
 
 def test_only_what_is_said_to_have_no_sentence_is_left_out(wire: Wire) -> None:
     z = np.linspace(0.01, 0.1, len(MEASUREMENTS))
-    wire.tell("".join(NmeaWriter("GP").row(START, z, np.zeros(4), (59.5, 10.5))).encode())
+    wire.tell("".join(example.NmeaRows("GP").row(START, z, np.zeros(4), (59.5, 10.5))).encode())
     lost = np.isnan(wire.take(after=1.0)[0][1])
-    assert {name for name, gone in zip(MEASUREMENTS, lost, strict=True) if gone} == set(NOT_IN_NMEA)
+    assert {name for name, gone in zip(MEASUREMENTS, lost, strict=True) if gone} == set(
+        example.NOT_IN_NMEA
+    )
 
 
 def test_rates_of_transducers_are_no_angles(wire: Wire) -> None:
@@ -279,7 +280,7 @@ def test_rates_of_transducers_are_no_angles(wire: Wire) -> None:
 
 
 def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
-    writer = NmeaWriter("GP")
+    writer = example.NmeaRows("GP")
     z, cmd = np.full(17, np.nan), np.zeros(4)
     z[:6], z[AHRS_ROLL], z[AHRS_PITCH] = 0.0, 0.1, -0.05
     wire.tell("".join(writer.row(START, z, cmd, (59.5, 10.5))).encode())

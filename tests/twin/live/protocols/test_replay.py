@@ -11,19 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, disturbed, free_port
+from tests.twin.live.wire import Wire, disturbed, example, free_port
 from twin import Twin
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import (
-    ORIGIN,
-    MavlinkStream,
-    NmeaStream,
-    Stream,
-    replay,
-    schedule,
-)
 from twin.live.protocols.sockets import needed
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -37,13 +29,18 @@ pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[
 ROOT = Path(__file__).resolve().parents[4]
 
 MIDNIGHT = 1.7e9 - 1.7e9 % 86400
-KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], Stream], float, float]] = {
+KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], example.Stream], float, float]] = {
     # resolutions: 1e-7 minutes and 1e-7 degrees, 1e-4 knots and 1 cm/s
-    "nmea": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
-    "tagged": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0, tag=True), 4e-4, 2e-4),
+    "nmea": (NmeaFeed, lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
+    "tagged": (
+        NmeaFeed,
+        lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0, tag=True),
+        4e-4,
+        2e-4,
+    ),
     "mavlink": (
         MavlinkFeed,
-        lambda boat: MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
+        lambda boat: example.MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
         1.2e-2,
         5.1e-3,
     ),
@@ -103,7 +100,9 @@ def test_disturbances_are_counted_and_survived(
 ) -> None:
     wire = Wire(KINDS[kind][0], usv)
     sent: Counter[str] = Counter()
-    datagrams = disturbed(schedule(circle, KINDS[kind][1](usv)), np.random.default_rng(4), sent)
+    datagrams = disturbed(
+        example.schedule(circle, KINDS[kind][1](usv)), np.random.default_rng(4), sent
+    )
     wire.carry(datagrams, speed)
     wire.take(after=1.0)
     counts = wire.balance()
@@ -130,7 +129,9 @@ def test_the_pace_is_that_of_the_log(circle: Log) -> None:
         now[0] += seconds
 
     address = f"udp://:{free_port()}"
-    counted = replay(log, NmeaStream(), address, speed=4.0, clock=lambda: now[0], sleep=sleep)
+    counted = example.replay(
+        log, example.NmeaStream(), address, speed=4.0, clock=lambda: now[0], sleep=sleep
+    )
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
     assert counted["rows"] == counted["datagrams"] == len(log)
 
@@ -147,7 +148,7 @@ def test_over_the_wire_and_back_is_the_same_log(
         counted: Counter[str] = Counter()
 
         def send() -> None:
-            replay(log, stream, address, speed=10.0, counts=counted)
+            example.replay(log, stream, address, speed=10.0, counts=counted)
 
         sender = threading.Thread(target=send)
         sender.start()
@@ -193,13 +194,17 @@ def test_the_example_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -
 
 @pytest.mark.parametrize(
     ("address", "speed", "place"),
-    [("tcp://:1", 1.0, ORIGIN), ("udp://:1", 0.0, ORIGIN), ("udp://:1", 1.0, (91.0, 0.0))],
+    [
+        ("tcp://:1", 1.0, example.ORIGIN),
+        ("udp://:1", 0.0, example.ORIGIN),
+        ("udp://:1", 1.0, (91.0, 0.0)),
+    ],
 )
 def test_what_cannot_be_sent_is_refused(
     circle: Log, address: str, speed: float, place: tuple[float, float]
 ) -> None:
     with pytest.raises(UsvTwinError):
-        replay(circle, NmeaStream(place), address, speed=speed)
+        example.replay(circle, example.NmeaStream(place), address, speed=speed)
 
 
 def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:

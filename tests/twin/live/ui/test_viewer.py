@@ -358,7 +358,9 @@ def test_a_boat_stands_in_the_scene_as_it_does_at_sea():
         for axis in np.eye(3):
             np.testing.assert_allclose(turn @ axis, rotate(phi, theta, psi, *axis), atol=1e-12)
     # north is y, east is x, down is -z
-    w, x, y, z = quaternion(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+    w, x, y, z = quaternion(
+        Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    )
     turn = Rotation.from_quat([x, y, z, w]).as_matrix()
     np.testing.assert_allclose(turn @ [1.0, 2.0, 3.0], [2.0, 1.0, -3.0], atol=1e-12)
 
