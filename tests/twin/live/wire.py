@@ -22,14 +22,20 @@ from twin.motion import HORIZONS, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
 
-_SPEC = importlib.util.spec_from_file_location(
-    "replay_example", Path(__file__).resolve().parents[3] / "examples" / "replay.py"
-)
-assert _SPEC is not None and _SPEC.loader is not None
-example = importlib.util.module_from_spec(_SPEC)
-"""The example that sends a log."""
-sys.modules["replay_example"] = example
-_SPEC.loader.exec_module(example)
+
+def load_example(path: str) -> Any:
+    """Return an example as a module; ``path`` is below the folder of examples."""
+    place = Path(__file__).resolve().parents[3] / "examples" / path
+    spec = importlib.util.spec_from_file_location(f"example_{place.stem}", place)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+example = load_example("replay.py")
+"""What sends a log as a stream."""
 
 RUN = recorded_runs()["boat1_usv_circle"]
 

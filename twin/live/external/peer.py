@@ -8,7 +8,7 @@ from typing import Any
 
 from twin.live.protocols.sockets import Address, needed, open_socket
 
-__all__ = ["ACCEPTED", "AUTO", "HOLD", "MODES", "AutopilotPeer", "MavlinkPort"]
+__all__ = ["ACCEPTED", "HOLD", "AutopilotPeer", "MavlinkPort"]
 
 AUTOPILOT = 1
 """Component MAV_COMP_ID_AUTOPILOT1."""
@@ -16,10 +16,8 @@ AUTOPILOT = 1
 ARMED = 128
 """Flag MAV_MODE_FLAG_SAFETY_ARMED."""
 
-MODES = {0: "Manual", 1: "Acro", 3: "Steering", 4: "Hold", 5: "Loiter", 10: "Auto", 11: "RTL"}
-"""Modes of ArduPilot's Rover by number, as far as they are named in messages."""
-
-HOLD, AUTO = 4, 10
+HOLD = 4
+"""Mode of ArduPilot's Rover."""
 
 ACCEPTED = 0
 """MAV_RESULT_ACCEPTED."""
@@ -41,7 +39,7 @@ class AutopilotPeer:
         Its system; None before its first heartbeat.
     armed : bool
     mode : int or None
-        Custom mode, see :data:`MODES`.
+        Custom mode of ArduPilot's Rover.
     origin : tuple of float or None
         Latitude and longitude of its local frame, degrees.
     results : dict of int to int
@@ -64,11 +62,6 @@ class AutopilotPeer:
         self.results: dict[int, int] = {}
         self.parameters: dict[str, float] = {}
         self.texts: deque[str] = deque(maxlen=TEXTS)
-
-    @property
-    def mode_name(self) -> str:
-        """Name of its mode."""
-        return MODES.get(-1 if self.mode is None else self.mode, f"mode {self.mode}")
 
     def hear(self, item: Any) -> None:
         """Take a message of pymavlink; those of others are passed over."""

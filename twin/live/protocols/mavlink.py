@@ -190,7 +190,7 @@ class MavlinkFeed(Feed):
                 made = self.stamp_of(prediction.t0)
                 yield write.trajectory(made, mean)
                 sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
-                yield write.deviations(made, np.column_stack([horizons, sd]))
+                yield write.floats(made, b"sd_pos", np.column_stack([horizons, sd]))
             if (ahead := prediction.motion) is not None:
                 times = (0.0, *MOTION_HORIZONS)
                 table = np.column_stack([times, *ahead.at(times)])
@@ -527,10 +527,6 @@ class MavlinkWriter:
         d = self.dialect
         severity = d.MAV_SEVERITY_WARNING if warning else d.MAV_SEVERITY_INFO
         return self.pack(d.MAVLink_statustext_message(severity, text.encode()[:50]))
-
-    def deviations(self, stamp: float, table: Array) -> bytes:
-        """Return seconds ahead and standard deviations north and east, shape (n, 3)."""
-        return self.floats(stamp, b"sd_pos", table)
 
     def floats(self, stamp: float, name: bytes, table: Array) -> bytes:
         """Return up to 58 numbers under a name."""

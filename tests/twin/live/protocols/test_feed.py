@@ -76,17 +76,6 @@ def test_rows_wait_for_what_was_overtaken(usv: Particulars) -> None:
     assert (counts["out of order"], counts["doubled"], counts["late"]) == (1, 1, 1)
 
 
-def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    wire.tell(message("a", 1.0, compass_rad=1.0), message("g", 1.02, gps_x_m=3.0, gps_y_m=4.0))
-    wire.tell(message("b", 1.04, gyro_radps=0.1), message("a", 1.06, compass_rad=1.1))
-    wire.take(after=1.0)
-    assert len(wire.rows) == 2
-    (t0, first, _), (t1, second, _) = wire.rows
-    assert t0 == 0.0 and first[[0, 1, 4, 5]] == pytest.approx([3.0, 4.0, 1.0, 0.1])
-    assert t1 == pytest.approx(0.04) and second[4] == 1.1 and np.isnan(second[0])
-
-
 def test_commands_hold_and_their_absence_is_reported(usv: Particulars) -> None:
     wire = Wire(MessageFeed, usv)
     wire.tell(message("a", 1.0, compass_rad=1.0))
@@ -141,14 +130,6 @@ def test_messages_without_a_time_are_placed_by_the_senders_clock(
     found = {round(1e3 * z[4]): t for t, z, _ in wire.rows if not math.isnan(z[4])}
     late = [found[i] - sent[i] for i in range(100, 600)]
     assert np.abs(late).max() < 0.01
-
-
-def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    same = message("h", None, compass_rad=1.0)
-    wire.tell(same, same)
-    wire.tell(same, after=0.1)
-    assert wire.balance()["doubled"] == 1
 
 
 def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:

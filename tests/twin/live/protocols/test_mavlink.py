@@ -62,12 +62,6 @@ def test_messages_of_a_moment_are_a_row(wire: Wire) -> None:
     assert cmd == pytest.approx([20.0, 20.0, -math.radians(15.0), -math.radians(15.0)])
 
 
-def test_mavlink_1_is_understood(wire: Wire) -> None:
-    made = common.MAVLink_attitude_message(7000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.1)
-    wire.tell(bytes(made.pack(common.MAVLink(None, 1, 1), force_mavlink1=True)))
-    assert wire.take(after=1.0)[0][1][4] == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("steering", ["drives", "differential"])
 def test_servos_there_and_back_give_the_same_commands(steering: str) -> None:
     boat = Particulars(

@@ -262,23 +262,6 @@ def test_height_roll_pitch_and_rates_go_out_as_they_come_in(wire: Wire) -> None:
     assert np.isnan(np.delete(back, at)).all()
 
 
-def test_only_what_is_said_to_have_no_sentence_is_left_out(wire: Wire) -> None:
-    z = np.linspace(0.01, 0.1, len(MEASUREMENTS))
-    wire.tell("".join(example.NmeaRows("GP").row(START, z, np.zeros(4), (59.5, 10.5))).encode())
-    lost = np.isnan(wire.take(after=1.0)[0][1])
-    assert {name for name, gone in zip(MEASUREMENTS, lost, strict=True) if gone} == set(
-        example.NOT_IN_NMEA
-    )
-
-
-def test_rates_of_transducers_are_no_angles(wire: Wire) -> None:
-    wire.tell(line("IIXDR,A,120.0,D,ROLLRATE") + line("IIXDR,A,-9.0,D,PitchRate"))
-    z = row(wire)
-    at = [MEASUREMENTS.index("gyro_x_radps"), MEASUREMENTS.index("gyro_y_radps")]
-    assert np.degrees(z[at]) == pytest.approx([120.0, -9.0])
-    assert np.isnan(z[[AHRS_ROLL, AHRS_PITCH]]).all()
-
-
 def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
     writer = example.NmeaRows("GP")
     z, cmd = np.full(17, np.nan), np.zeros(4)

@@ -27,7 +27,6 @@ from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.physics import weather as wx
 
 VESSEL = Vessel.load("usv75")
 
@@ -96,20 +95,6 @@ def test_helm_and_throttle_steer(tmp_path):
     session.helm.angle = 3.0  # more than the drives can
     sail(session, 1.0)
     assert session.simulation.cmd[0, 2] == pytest.approx(VESSEL.helm_max)
-
-
-def test_a_manoeuvre_begins_when_it_is_chosen_and_its_plan_is_known(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
-    sail(session, 7.0)
-    session.steer("turn")
-    sail(session, 4.0)
-    assert session.simulation.cmd[0, 2] == 0.0  # the approach
-    plan = session._plan()
-    assert plan.shape == (round(HORIZON / PLAN_STEP), 4)
-    planned = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
-    for angle in planned:
-        assert session.helm.command(session.t, np.zeros(6))[2] == pytest.approx(angle)
-        sail(session, 0.5)
 
 
 def test_the_autopilot_follows_the_path_by_the_estimate(tmp_path):
@@ -280,28 +265,6 @@ def test_rows_that_the_disk_does_not_take_are_kept_until_it_does(tmp_path, full_
     assert len(Log.read(session.recorded)) == 60 and not session.recording
 
 
-def test_the_wind_changes_without_the_waves(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
-    sail(session, 3.0)
-    waves, state = session.simulation.waves.copy(), session.simulation.state.copy()
-    stronger = SeaState.named("2").replace(wind=14.0, wind_from=1.0)
-    session.order(session.change_sea, stronger, False)
-    session._obey()
-    np.testing.assert_array_equal(session.simulation.waves, waves)
-    np.testing.assert_array_equal(session.simulation.state, state)
-    speeds = []
-    for _ in range(40):
-        sail(session, 1.0)
-        sea = session._look().sea
-        speeds.append(np.hypot(*wx.air_velocity(session.t, sea.gusts, sea.weather)))
-    assert np.mean(speeds) == pytest.approx(14.0, rel=0.1)
-    session.order(session.change_sea, SeaState(), False)  # a calm that was none before
-    session._obey()
-    session.order(session.change_sea, stronger, False)
-    sail(session, 2.0)
-    assert np.isfinite(session.simulation.state).all()
-
-
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
     session = SimulatedSession(setup(), tmp_path)
     session.set_scale(5.0)
@@ -320,15 +283,6 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
     session.stop()
     assert session.error is None
     assert len(Log.read(session.recorded)) > 50
-
-
-def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
-    session = SimulatedSession(setup(), tmp_path)
-    monkeypatch.setattr(session.helm, "command", lambda t, s: 1 / 0)
-    session.start()
-    wait(lambda: session.error is not None)
-    session.stop()
-    assert isinstance(session.error, ZeroDivisionError)
 
 
 @pytest.fixture
@@ -363,27 +317,6 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
 
 def twin_row(log: Log, t: float) -> np.ndarray:
     return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
-
-
-def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
-    monkeypatch.setattr("twin.live.sessions.log.MOMENTS", 20)
-    log = simulate("turn", vessel=VESSEL, sea=SeaState(), duration=40.0, seed=2)
-    session = through(log, tmp_path)
-    session.stop()
-    assert len(session._moments) < 30
-    before = None
-    for t in np.arange(20.0, 24.0, 0.05):
-        session.seek(t)
-        now = session._look()
-        assert now.t == pytest.approx(t, abs=1e-6)
-        if before is not None:
-            assert 0.05 < np.hypot(*(now.boat[:2] - before.boat[:2])) < 0.6
-            assert np.hypot(*(now.overlay.state[:2] - before.overlay.state[:2])) < 1.0
-        end = now.overlay.horizons[-1]
-        assert HORIZON - 2.1 < end <= HORIZON
-        k = int(np.argmin(np.abs(log.t - (now.t + end))))
-        assert np.hypot(*(now.overlay.ahead[-1, :2] - log.truth[k, :2])) < 15.0
-        before = now
 
 
 def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):

@@ -30,7 +30,7 @@ from usv_gym.vessel.geometry import boat_of
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from twin.live.ui.scene import attitude, borders, quaternion, stretched, strip  # noqa: E402
+from twin.live.ui.scene import attitude, borders, quaternion  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
 
 VESSEL = Vessel.load("usv75")
@@ -337,13 +337,6 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     assert back is not None and int(back.group(1)) > 20
 
 
-def test_only_this_machine_is_served(tmp_path, served):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    viewer = served(session)
-    assert viewer.url.startswith("http://127.0.0.1:")
-    assert viewer.server.get_host() == "127.0.0.1"
-
-
 def test_a_boat_stands_in_the_scene_as_it_does_at_sea():
     """Quaternions against the rotation matrices of the ship."""
     from scipy.spatial.transform import Rotation
@@ -375,13 +368,3 @@ def test_the_ribbon_is_two_standard_deviations_wide_across_the_track():
     np.testing.assert_allclose(left[:, 0], places[:, 0], atol=1e-12)
     still = borders(np.zeros((30, 2)), covs)  # a boat that lies still
     assert np.isfinite(still).all()
-
-
-def test_the_surface_is_a_net_without_holes():
-    edge = stretched(8)
-    assert edge[0] == -1.0 and edge[-1] == 1.0 and np.all(np.diff(edge) > 0.0)
-    faces = strip(9, 9)
-    corners = np.stack(np.meshgrid(edge, edge, indexing="ij"), axis=-1).reshape(-1, 2)
-    a, b, c = np.moveaxis(corners[faces], 1, 0)
-    (p, q), (r, s) = (b - a).T, (c - a).T
-    assert 0.5 * np.abs(p * s - q * r).sum() == pytest.approx(4.0)
