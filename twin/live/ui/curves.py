@@ -180,10 +180,10 @@ class Curves:
 
 
 def padded(values: Array) -> Array:
-    """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
+    """Return a curve with its gaps drawn through; one of nothing is 0."""
     known = np.isfinite(values)
     if not known.any():
-        return np.ones(len(values))
+        return np.zeros(len(values))
     return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
 
 
