@@ -32,6 +32,8 @@ from twin.health.state import (
     GPS,
     N_STATES,
     NO_ANSWER,
+    SENSORS,
+    STATUSES,
 )
 from twin.health.velocity import check_velocity
 from twin.health.wind import check_wind
@@ -79,6 +81,20 @@ def _follows_gap(dt, health):
     return dt > max(most, GAP_LEAST)
 
 
+@inlined
+def _all_statuses(health):
+    """Return one number for the statuses of all sensors: the digits of a number to base 4.
+
+    The digits of the wind are its status and whether it is known or has a reason.
+    """
+    wind = health.wind
+    number = 1.0 if wind.reason > 0.0 or wind.known > 0.0 else 0.0
+    number = len(STATUSES) * number + wind.status
+    for k in range(len(SENSORS)):
+        number = len(STATUSES) * number + health.sensors[k].status
+    return number
+
+
 @kernel
 def check_sensors(dt, z, cmd, s, ready, health, given, out):
     """Hold the sensors of a row against each other, and leave out those at fault.
@@ -123,3 +139,4 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     leave_out(health, out)
     turn_to_now(dt, out, new_compass, health, given)
     check_wind(dt, out, state, usable, health, given)
+    health.statuses = _all_statuses(health)

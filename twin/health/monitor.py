@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
-from twin.checkpoint import COUNT, Field, State, check_fields, fill, record_views
+from twin.checkpoint import State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
     HEALTH,
     HEALTH_SETTINGS,
-    HYPOTHESES,
     OK,
     REASONS,
     SENSORS,
@@ -32,38 +31,15 @@ __all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
 Array = NDArray[Any]
 
 
-_CLOCK, _DUE, _RESTARTS = (field_at(HEALTH, name) for name in ("clock", "current_due", "restarts"))
+_CLOCK, _DUE, _RESTARTS, _ALL_STATUSES = (
+    field_at(HEALTH, name) for name in ("clock", "current_due", "restarts", "statuses")
+)
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(HEALTH, "wind") + field_at(WIND_CHECK, name) for name in ("status", "reason", "known")
 )
 
 _CURRENT = slice(field_at(HEALTH, "current"), field_at(HEALTH, "current") + 3)
-
-_LATER = (
-    "wind.",
-    "turn",
-    "current",
-    "velocity_step",
-    "accel_mean",
-    "velocity_repeated",
-    "velocity_longest",
-    "sensors.in_use",
-    "targets",
-    "row_command",
-    "gyro_scale",
-    "course_for_compass",
-    "unaided",
-    "restart",
-    "row_interval",
-    "row_gap",
-    "gap_way",
-    "stand_",
-    "since_leap",
-    "motion_doubted",
-)
-"""Beginnings of field names that states saved by version 0.1 lack. Where a whole group of fields is
-missing, it gets its initial values."""
 
 
 class SensorStatus(NamedTuple):
@@ -172,6 +148,11 @@ class SensorMonitor:
             return None
         return self.record["restarts"], self.record["restarted"]
 
+    @property
+    def all_statuses(self) -> float:
+        """One number for the statuses of all sensors: it differs where one of them does."""
+        return self.memory.item(_ALL_STATUSES)
+
     def wants_current(self, dt: float) -> bool:
         """Return whether the next row, after dt s, looks at the current of the model."""
         return bool(self.memory[_CLOCK] + dt >= self.memory[_DUE])
@@ -258,39 +239,5 @@ class SensorMonitor:
         StateError
             Names the field that is missing or damaged.
         """
-        views = self.views()
-        blank = SensorMonitor.__new__(SensorMonitor)
-        blank.remember(initial_health())
-        # saved before there were some of the checks: then all fields of a group are missing
-        for group in _LATER:
-            if not any(name.startswith(group) for name in state):
-                new = {k: v for k, v in blank.state_dict().items() if k.startswith(group)}
-                state = new | state
-        check_fields(state, views, FIELDS)
-        fill(views, state)
-
-
-_POSITIVE = Field(low=0.0)
-
-FIELDS = {
-    **dict.fromkeys(
-        ("last", "fix", "velocity", "course", "course_compass", "stand_mean", "stand_at"),
-        Field(nan=True),
-    ),
-    **dict.fromkeys(("current", "current_past"), Field(nan=True)),
-    # indices of names
-    "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
-    "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
-    "wind.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
-    "wind.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
-    **dict.fromkeys(("wind.silent", "wind.age", "wind.known", "wind.changing"), Field(low=0.0)),
-    "turn_rows": COUNT,
-    "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
-    # what is divided by
-    **dict.fromkeys(
-        ("sensors.interval", "heading_level", "position_level", "pull_level"), _POSITIVE
-    ),
-    **dict.fromkeys(("velocity_level", "unaided_level", "wave_level", "clock"), _POSITIVE),
-    "filters.P": Field(covariance=True),
-}
-"""What the fields of a saved state may hold."""
+        check_fields(state, self.views())
+        fill(self.views(), state)

@@ -289,6 +289,7 @@ HEALTH = np.dtype(
         ("evidence", "f8", HYPOTHESES),  # sums of log-likelihood ratios to the one in force
         ("hypothesis", "f8"),  # the one in force
         ("wind", WIND_CHECK),
+        ("statuses", "f8"),  # all statuses in one number: it differs where one of them does
     ]
 )
 """What the checks remember of a boat."""

@@ -13,8 +13,7 @@ from hypothesis.extra.numpy import arrays
 from tests.twin.health.watching import MANOEUVRES, START, base, watch, watch_fault
 from twin import Twin
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject
-from twin.checkpoint import StateError
-from twin.health.monitor import FIELDS, SensorMonitor, SensorStatus
+from twin.health.monitor import SensorStatus
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 
@@ -86,17 +85,6 @@ def test_a_status_prints_as_words():
     assert str(base("zigzag")[1].health["navigation"]) == "ok since 0.0 s"
 
 
-def test_damaged_state_is_refused():
-    monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
-    for name, value in (("sensors.status", 9.0), ("sensors.reason", 0.5), ("clock", np.nan)):
-        state = monitor.state_dict()
-        state[name] = np.full_like(state[name], value)
-        with pytest.raises(StateError, match=name):
-            monitor.load_state_dict(state)
-    with pytest.raises(StateError, match="gyro_bias"):
-        monitor.load_state_dict({k: v for k, v in state.items() if k != "gyro_bias"})
-
-
 def test_reset_monitor_knows_nothing():
     log, twin = base("zigzag")[:2]
     twin = copy.deepcopy(twin)
@@ -143,8 +131,7 @@ def test_memory_stays_finite_under_any_rows(z, cmd, state, steps, manoeuvre):
             out = monitor.check(dt, z[row], cmd[row], state[row], True)[0]
             assert not np.isinf(out[:8]).any()
     for name, view in monitor.views().items():
-        nan = FIELDS.get(name) is not None and FIELDS[name].nan
-        assert (np.isfinite(view) | (nan & np.isnan(view))).all(), name
+        assert not np.isinf(view).any(), name
     monitor.load_state_dict(monitor.state_dict())
 
 
