@@ -37,8 +37,7 @@ from twin.cli.link import (
     say,
 )
 from twin.digital_twin import Twin
-from twin.live.external.peer import AutopilotPeer
-from twin.live.external.port import MavlinkPort
+from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of, unmirrored
 from twin.logs.datum import Datum
 from twin.logs.log import Log, sibling_path
@@ -241,7 +240,7 @@ def _serve(server: Server, duration: float) -> None:
 def _show(server: Server, run: AutopilotRun, twin: Twin, out: Path | None, port: int) -> None:
     """Serve the page until Ctrl-C."""
     from twin.cli.view import show_session
-    from twin.live.external.view import SitlSession
+    from twin.live.external.simulated import SitlSession
     from twin.live.ui.access import Access
 
     folder = Path() if out is None else out.parent

@@ -92,7 +92,7 @@ def test_sitl_writes_a_log_with_the_truth_for_each_run(
         (("sitl", "usv75", "--twin", "oracle"), "sea is not known"),
         (("sitl", "bismarck"), "no vessel is called"),
         (("link", "--external", "off"), "view --mavlink"),
-        (("link", "serial:/dev/ttyS0"), "only udp://"),
+        (("link", "serial:/dev/ttyS0"), "write udp://"),
     ],
 )
 def test_what_cannot_be_done_is_reported(arguments: tuple[str, ...], words: str) -> None:

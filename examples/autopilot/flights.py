@@ -1,4 +1,9 @@
-"""The real ArduRover in a scratch folder, and a ground station that gives it a mission."""
+"""Flights of the real ArduRover on our boats, with a minute without GPS.
+
+``python examples/autopilot/flights.py usv75 dsw-ukf-plus odometry 1 2 3`` prints a line of JSON for
+each seed; ``off`` in place of ``odometry`` leaves the twin out. ``USV_TWIN_ARDUROVER`` is the path
+of ArduPilot's ``ardurover``, beside which lies its ``rover.parm``.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from tests.twin.live.wire import free_port
 from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation, ExternalOptions
-from twin.live.external.peer import AutopilotPeer
-from twin.live.external.port import MavlinkPort
+from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of
@@ -50,6 +53,13 @@ def lawnmower(vessel: str, lanes: int = 3) -> np.ndarray:
         ends = (length, 10.0) if lane % 2 else (10.0, length)
         points += [(end, lane * apart) for end in (ends if lane else ends[1:])]
     return np.array(points)
+
+
+def free_port() -> int:
+    """Return a UDP port that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
 
 
 class GroundStation:
@@ -325,7 +335,7 @@ class Flight:
 
 
 def main(vessel: str, predictor: str, kind: str, *seeds: str) -> None:
-    """Print a line of JSON for each seed: ``python -m tests.twin.live.external.ardurover ...``."""
+    """Print a line of JSON for each seed."""
     program = Path(os.environ["USV_TWIN_ARDUROVER"])
     for seed in map(int, seeds):
         options = None if kind == "off" else ExternalOptions(kind=kind)
