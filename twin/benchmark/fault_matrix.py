@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import NamedTuple
@@ -415,9 +415,9 @@ POOLED_HEAD = (
 )
 
 DETAIL_HEAD = (
-    "| fault | named | after, s | a sound sensor left out, runs | largest error, m | in the "
-    "claimed 90 % during | forecast normal within 10 s |",
-    "|---|---|---|---|---|---|---|",
+    "| fault | named, % | after, s | a sound sensor left out, runs | of runs | largest error, m | "
+    "in the claimed 90 % during, % | forecast normal within 10 s, % |",
+    "|---|---|---|---|---|---|---|---|",
 )
 
 
@@ -440,30 +440,31 @@ def tables(results: Sequence[FaultRun]) -> list[str]:
     return lines
 
 
+def _shares(groups: Sequence[Sequence[float]]) -> str:
+    """Return the mean of each group, %."""
+    return " / ".join(f"{100.0 * _mean(group):.0f}" for group in groups)
+
+
 def _details(runs: Sequence[FaultRun]) -> list[str]:
-    """Return a row for each fault; each cell has a value for each rate."""
+    """Return a row for each fault; a cell has a value for each rate, highest first."""
     lines = []
-    for fault in FAULTS:
-        some = [run for run in runs if run.fault == fault]
-        if not some:
-            continue
+    for name, fault in FAULTS.items():
+        some = [run for run in runs if run.fault == name]
         by_rate = [[run for run in some if run.gps_rate_hz == rate] for rate in COMPASS_RATE_HZ]
+        groups = [group for group in by_rate if group]
+        if not groups:
+            continue
+        must = groups if fault.sensors else []
 
-        def each(value: Callable[[list[FaultRun]], str], groups: list[list[FaultRun]]) -> str:
-            return " / ".join(value(group) for group in groups if group)
-
-        must = bool(FAULTS[fault].sensors)
-        named = each(lambda g: _percent(_mean([math.isfinite(n) for n in _named(g)])), by_rate)
         cells = (
-            f"`{fault}`",
-            named if must else "",
-            each(lambda g: _median(_named(g)), by_rate) if must else "",
-            each(lambda g: f"{sum(bool(run.left_out) for run in g)} of {len(g)}", by_rate),
-            each(lambda g: f"{max(run.largest_m for run in g):.1f}", by_rate),
-            each(lambda g: _percent(_mean([run.inside_during for run in g])), by_rate),
-            each(
-                lambda g: _percent(_mean([run.recovered_s <= NORMAL_SOON_S for run in g])), by_rate
-            ),
+            f"`{name}`",
+            _shares([[math.isfinite(run.named_s) for run in g] for g in must]),
+            " / ".join(_median(_named(g)) for g in must),
+            " / ".join(str(sum(bool(run.left_out) for run in g)) for g in groups),
+            str(max(map(len, groups))),
+            " / ".join(f"{max(run.largest_m for run in g):.1f}" for g in groups),
+            _shares([[run.inside_during for run in g] for g in groups]),
+            _shares([[run.recovered_s <= NORMAL_SOON_S for run in g] for g in groups]),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return lines

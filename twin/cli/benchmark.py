@@ -363,9 +363,7 @@ def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: in
                 results = found
                 bar.update(task, completed=done)
         except KeyboardInterrupt:
-            raise stopped(
-                f"stopped: {file} has what is finished; the same command goes on"
-            ) from None
+            raise stopped(f"{file} has what is finished; the same command goes on") from None
     text = "\n".join(tables(results))
     write_text(out / "fault_matrix.md", text)
     print(text, end="")
