@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 
 import gymnasium as gym
-from twin.integrity.state import SENSORS, STATUSES
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.integrity.state import SENSORS, STATUSES
 from twin.logs.columns import UNITS
 from twin.predictors.registry import PREDICTORS
 from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW

@@ -5,10 +5,10 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
-from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
+from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 from twin.sim import batched_twins
 from twin.sim.bridge import measurement_row
 from twin.sim.twin_observation import HEALTH_OBSERVATION, TWIN_OBSERVATION

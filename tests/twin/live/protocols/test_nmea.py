@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from twin.integrity.monitor import SensorStatus
 
 from tests.twin.live.wire import Wire, estimate_of, example, with_motion
 from twin.channels import (
@@ -20,6 +19,7 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
+from twin.integrity.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
 from twin.particulars import Particulars
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from twin.integrity.monitor import SensorStatus
 
 from twin import Log, Twin
+from twin.integrity.monitor import SensorStatus
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Snapshot
 from twin.live.ui.panel import checks, said, table
