@@ -601,7 +601,7 @@ def ineffective_fault(faults: Sequence[Disturbance], dof: int, anemometer: bool)
     for axis in sorted(struck & {"gyro_x", "gyro_y", "accel_z"}):
         if dof == 3:
             return f"a boat with dof=3 has no {axis}: its fault changes nothing; use dof=6"
-    if dof == 3 and any(one.kind == "gyro" and one.effect == "swapped" for one in faults):
+    if any(one.kind == "gyro" and one.effect == "swapped" for one in faults) and dof == 3:
         return "a boat with dof=3 has one gyro, and nothing to swap it with; use dof=6"
     if "wind" in struck and not anemometer:
         return "these sensors have no anemometer: its fault changes nothing; use those of 'best'"
