@@ -102,7 +102,9 @@ IMU_SILENT_S = 1.0
 MOTION_TIME_S = 60.0
 
 STEP_MAX_S, STEPS_MAX = 1.0, 30
-LEVEL_MAX, LEVEL_TIME_S = 6.0, 120.0
+LEVEL_MAX, LEVEL_TIME_S, LEVEL_FIRST_S = 6.0, 120.0, 10.0
+
+TIMING_S = 0.1
 
 FILTER = np.dtype(
     [
@@ -178,6 +180,9 @@ BANK_SETTINGS = np.dtype(
     ]
 )
 
+ACCELERATION_MIN = 0.05
+"""Least standard deviation of the acceleration of a boat, m/s2: small waves make as much."""
+
 GPS_DRIFT_S, COMPASS_DRIFT_S, BIAS_TIME_S = 400.0, 200.0, 100.0
 
 
@@ -204,7 +209,7 @@ def bank_settings(particulars: Particulars) -> Array:
             2.0 * (GRAVITY * I.tilt_sd) ** 2 * I.tilt_time,
             (0.5 * turn) ** 2 * turn,
             turn**2,
-            (0.25 * U * turn) ** 2,
+            max(0.25 * U * turn, ACCELERATION_MIN) ** 2,
             L / U,
             U**2,
             I.gps_latency,
@@ -389,13 +394,13 @@ def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
 
 
 @inlined
-def learn_level(one, aid, span):
+def learn_level(one, aid, span, clock):
     """Learn how much more the means vary than those of white innovations would."""
     numbers = 1.0 if aid == COMPASS else 2.0
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
         square = (m0 * m0 + m1 * m1) / one.weight[aid, i] / numbers * one.level[aid, 0]
-        share = min(span / LEVEL_TIME_S, 0.1)
+        share = min(span / min(max(clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
         level = one.level[aid, i] + share * (square - one.level[aid, i])
         one.level[aid, i] = min(max(level, 1.0), LEVEL_MAX)
 
@@ -543,7 +548,8 @@ def advance_bank(dt, z, bank, given, work):
             bank.age_sum[aid] /= n
             for j in range(2 * aid, min(2 * aid + 2, 5)):
                 bank.sum[j] /= n
-    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5
+    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
+    late = TIMING_S * TIMING_S + row * row / 12.0
     active = FILTERS if 0.0 < bank.force_filter <= 3.0 else FRESH
     for k in range(active):
         one = bank.filters[k]
@@ -568,16 +574,17 @@ def advance_bank(dt, z, bank, given, work):
             n = bank.samples[aid]
             if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
                 continue
-            variance = given.compass_var
+            # the moment of a sample is known to within a row, and delays are not stated in full
+            variance = given.compass_var / n + late * rate * rate
             if aid == FIXES:
-                variance = given.fix_var
+                variance = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
             elif aid == VELOCITY:
-                variance = given.velocity_var
+                variance = given.velocity_var / n + 0.5 * late * (north * north + east * east)
             span = max(bank.interval[aid], T)
             age = bank.age_sum[aid]
-            _take(one, aid, bank.sum, age, variance / n, span, rate, north, east, given, work)
+            _take(one, aid, bank.sum, age, variance, span, rate, north, east, given, work)
             if sound:
-                learn_level(one, aid, span)
+                learn_level(one, aid, span, bank.clock)
         one.ratio = test_ratio(one, k, bank.age)
     if bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5:
         share = min(T / MOTION_TIME_S, 0.1)

@@ -480,15 +480,16 @@ class Episodes:
         bool
             False, with nothing done, if an action is no number.
         """
-        watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
-        if len(self.blocks) > 1 and not self._own and len(watching) == len(callbacks):
-            return self._step_blocks(obs, self._countdown, watching)
+        if len(self.blocks) > 1 and not self._own:
+            watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
+            if len(watching) == len(callbacks):
+                return self._step_blocks(obs, self._countdown, watching)
         for left in self._countdown:
-            before, active = self._before_step() if self._own else (None, None)
+            before = self._before_step() if self._own else None
             if not self._step(obs, left):
                 return False
-            if before is not None and active is not None:
-                self._score(before, active, left)
+            if before:
+                self._score(*before, left)
             for callback in callbacks:
                 callback.observe(obs, left == 0)
         return True

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.logs import datasets
+from twin.logs.datasets import known_ship
 from twin.logs.diagnosis.diagnose import diagnose
 from twin.logs.diagnosis.findings import NOTE, Finding, Recording
 from twin.logs.log import read_table
@@ -97,7 +97,7 @@ def recorded(folder: str, run: str) -> tuple[Columns, Particulars | None]:
         pytest.skip(f"{path} is absent: recorded runs are not part of the project")
     boats = {"otter_oslofjord": "otter.toml", "blueboat_trondheim": "blueboat.toml"}
     boat = Particulars.load(DATA / folder / boats[folder]) if folder in boats else None
-    return read_table(path).data, boat or datasets.ship(path)
+    return read_table(path).data, boat or known_ship(path)
 
 
 def found_in(folder: str, run: str, fault: Fault | None = None) -> tuple[Finding, ...]:

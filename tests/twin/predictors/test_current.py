@@ -8,8 +8,8 @@ import pytest
 
 from twin import Twin
 from twin.channels import MEASUREMENTS
-from twin.health.monitor import SensorMonitor
 from twin.identification.data_weight import CHANGED, is_stable
+from twin.integrity.monitor import SensorMonitor
 from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel

@@ -8,14 +8,13 @@ import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
-from twin.health.state import EXCLUDED, OK, SENSORS, STATUSES
+from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 from twin.sim import batched_twins
 from twin.sim.bridge import measurement_row
 from twin.sim.twin_observation import HEALTH_OBSERVATION, TWIN_OBSERVATION
-from twin.sim.wrapper import TwinObservation, make_env
+from twin.sim.wrapper import make_env
 from usv_gym.envs.episodes import OBSERVATION
 from usv_kernel.channels import GYRO
-from usv_kernel.errors import UsvTwinError
 
 OPTIONS = {"task": "free", "sea": "2"}
 GYRO_STOPS, COMMANDS_TURN, STEPS = 20.0, 45.0, 1000
@@ -142,12 +141,3 @@ def test_twin_health_says_how_far_each_sensor_is_trusted():
     seen = gym.make_vec("USVTwin-v0", num_envs=2, observation="twin_health", twin="ukf", **OPTIONS)
     np.testing.assert_array_equal(sail(seen)[1][0], obs)
     seen.close()
-
-
-def test_the_wrapper_offers_the_sets_of_a_twin():
-    env = TwinObservation(make_env(twin=None, **OPTIONS), "ukf", observation="twin_health")
-    info = env.reset(seed=1)[1]
-    assert env.observation_space.shape == (len(OBSERVATION) + len(TWIN_OBSERVATION) + 5,)
-    assert {f"twin_health_{name}" for name in SENSORS} < set(info)
-    with pytest.raises(UsvTwinError, match="twin_params"):
-        TwinObservation(make_env(twin=None, **OPTIONS), "ukf", observation="raw")

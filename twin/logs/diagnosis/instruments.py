@@ -100,7 +100,7 @@ def particulars_text(diagnosis: Diagnosis, particulars: Particulars | None = Non
     for line in text.splitlines():
         key = line.partition(" = ")[0]
         lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
-    head = f"# Instruments estimated from {diagnosis.recording.name} by usv-twin log check;"
+    head = f"# Instruments estimated from {diagnosis.recording.name} by usv-twin check;"
     return "\n".join([head, "# those without a comment are not.", *lines]) + "\n"
 
 
