@@ -44,7 +44,9 @@ __all__ = [
     "FAULTS_HELP",
     "FAULT_KINDS",
     "ON",
+    "REPORTED",
     "STRUCK",
+    "THRUSTERS",
     "Bursts",
     "Disturbance",
     "Fault",
@@ -86,8 +88,9 @@ FAULT_KINDS = {
 ``commands`` are those that are reported, ``steering`` the angles among them; the boat does as it
 was told. ``left`` and ``right`` are thrusters of the boat."""
 
-REPORTED = ("commands", "steering")
-THRUSTERS = ("left", "right")
+REPORTED, THRUSTERS = ("commands", "steering"), ("left", "right")
+"""Kinds that strike what a twin is told of the commands, and what the boat makes of them."""
+
 SENSOR_KINDS = tuple(kind for kind in FAULT_KINDS if kind not in (*REPORTED, *THRUSTERS))
 
 CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS) + len(WIND_CHANNELS)
