@@ -1,7 +1,7 @@
 """Kernel that holds the sensors and commands of a row against each other, and leaves out faults.
 
-Information flows down once: what a sensor cannot give (:mod:`twin.integrity.screening`), the bank of
-filters and its test (:mod:`twin.integrity.bank`), which of them is in force
+Information flows down once: what a sensor cannot give (:mod:`twin.integrity.screening`), the bank
+of filters and its test (:mod:`twin.integrity.bank`), which of them is in force
 (:mod:`twin.integrity.decision`), and the commands against the motion that it says
 (:mod:`twin.integrity.commands`).
 """
@@ -125,7 +125,7 @@ def _set_statuses(dt, z, memory):
         _set(memory, COMMANDS, EXCLUDED, IMPOSSIBLE)
     elif h == SOUND:
         _set(memory, COMMANDS, OK, NO_REASON)
-    elif h == LEFT_DEAD or h == RIGHT_DEAD:
+    elif h in (LEFT_DEAD, RIGHT_DEAD):
         # the boat has changed: its commands are used, and the twin learns what they do now
         _set(memory, COMMANDS, DOUBTFUL, HYPOTHESIS_REASON + h - 1)
     else:
@@ -178,8 +178,10 @@ def _write_restart(memory, has_gps, given):
     ahead, side = given.bank.origin_arm[0], given.bank.origin_arm[1]
     state[0], state[1] = x[0] + c * ahead - s * side, x[1] + s * ahead + c * side
     state[2], state[5] = x[PSI], rate
-    state[3] = x[VN] * c + x[VE] * s - rate * side
-    state[4] = x[VE] * c - x[VN] * s + rate * ahead
+    # no faster than the boat has sailed
+    share = min(1.0, bank.fastest / max(math.hypot(x[VN], x[VE]), 1e-9))
+    state[3] = share * (x[VN] * c + x[VE] * s) - rate * side
+    state[4] = share * (x[VE] * c - x[VN] * s) + rate * ahead
     for i in range(6):
         for j in range(6):
             cov[i, j] = 0.0
@@ -209,7 +211,10 @@ def _write_restart(memory, has_gps, given):
     restart.surge = 0.0
     if not has_gps and k == NO_ACCELEROMETERS and memory.drives.steps > WARM_UP_STEPS:
         restart.surge = 1.0
-        state[3], state[4] = memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed, 0.0
+        state[3], state[4] = (
+            memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed,
+            0.0,
+        )
         for i in range(3, 5):
             for j in range(6):
                 cov[i, j] = cov[j, i] = 0.0
@@ -223,7 +228,7 @@ KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
 RESTART_SD = 0.2
-"""Standard deviation of a surge by the commands alone and of a sway taken for zero, nominal speeds."""
+"""Standard deviation of a surge by the commands and of a sway taken for zero, nominal speeds."""
 
 
 @kernel

@@ -445,7 +445,9 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
     drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
     drives.force_ratio = 0.0
     for axis in range(2):
-        excess = changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
+        excess = (
+            changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
+        )
         if has_gps:
             drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
@@ -576,11 +578,11 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)
     elif drives.span >= length - 1e-6:
-        if drives.span < STEP_LONG * length:
-            if _end_step(drives, motion, doubted, has_gps, now, given):
-                for i in range(4):
-                    drives.trusted[i] = drives.before[i]
-                    drives.before[i] = cmd[i]
+        short = drives.span < STEP_LONG * length
+        if short and _end_step(drives, motion, doubted, has_gps, now, given):
+            for i in range(4):
+                drives.trusted[i] = drives.before[i]
+                drives.before[i] = cmd[i]
         _begin_step(drives, motion, given)
     share = 1.0 - math.exp(-dt / given.lag)
     for side in range(2):

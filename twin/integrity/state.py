@@ -161,5 +161,3 @@ def initial_integrity(particulars: Particulars) -> Array:
     record["decision"]["decided"] = -math.inf
     record["drives"] = initial_drives(particulars).view(DRIVES)[0]
     return memory
-
-

@@ -1,4 +1,4 @@
-"""Faults are named soon at every rate, sound sensors stay, and the estimate is as if nothing was."""
+"""Faults are named soon at every rate, sound sensors stay, and the estimate is as without one."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_sound_sensors_are_silent(vessel, rate):
 
 
 def test_whitened_innovations_of_sound_sensors_are_white():
-    """The windowed means have the variance of white noise: the level that is learned stays near 1."""
+    """Windowed means have the variance of white noise: the level that is learned stays near 1."""
     log, twin, _ = begun("usv75", 5)
     assert len(log) > 1000
     level = twin.monitor.record["bank"]["filters"]["level"][0]
