@@ -347,7 +347,7 @@ class Disturbance(ABC):
 
 @dataclass(frozen=True)
 class Fault(Disturbance):
-    """A fault of the sensors of one kind, for a while.
+    """A fault of one kind, for a while.
 
     Parameters
     ----------
