@@ -144,7 +144,7 @@ def run_unit(
             raise BenchmarkError(f"{run.reference.name}: its truth has gaps")
         if held is not None:
             held_errors.append(held.squared_errors(truth[[0, -1]][:, :3], times[[0, -1]]))
-        known = known_plan(seen, row, HORIZONS[-1], dt)
+        known = known_plan(run.reference, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             try:

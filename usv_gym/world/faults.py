@@ -44,7 +44,9 @@ __all__ = [
     "FAULTS_HELP",
     "FAULT_KINDS",
     "ON",
+    "REPORTED",
     "STRUCK",
+    "THRUSTERS",
     "Bursts",
     "Disturbance",
     "Fault",
@@ -86,8 +88,9 @@ FAULT_KINDS = {
 ``commands`` are those that are reported, ``steering`` the angles among them; the boat does as it
 was told. ``left`` and ``right`` are thrusters of the boat."""
 
-REPORTED = ("commands", "steering")
-THRUSTERS = ("left", "right")
+REPORTED, THRUSTERS = ("commands", "steering"), ("left", "right")
+"""Kinds that strike what a twin is told of the commands, and what the boat makes of them."""
+
 SENSOR_KINDS = tuple(kind for kind in FAULT_KINDS if kind not in (*REPORTED, *THRUSTERS))
 
 CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS) + len(WIND_CHANNELS)
@@ -344,7 +347,7 @@ class Disturbance(ABC):
 
 @dataclass(frozen=True)
 class Fault(Disturbance):
-    """A fault of the sensors of one kind, for a while.
+    """A fault of one kind, for a while.
 
     Parameters
     ----------
@@ -601,7 +604,7 @@ def ineffective_fault(faults: Sequence[Disturbance], dof: int, anemometer: bool)
     for axis in sorted(struck & {"gyro_x", "gyro_y", "accel_z"}):
         if dof == 3:
             return f"a boat with dof=3 has no {axis}: its fault changes nothing; use dof=6"
-    if dof == 3 and any(one.kind == "gyro" and one.effect == "swapped" for one in faults):
+    if any(one.kind == "gyro" and one.effect == "swapped" for one in faults) and dof == 3:
         return "a boat with dof=3 has one gyro, and nothing to swap it with; use dof=6"
     if "wind" in struck and not anemometer:
         return "these sensors have no anemometer: its fault changes nothing; use those of 'best'"

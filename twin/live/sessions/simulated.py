@@ -111,7 +111,7 @@ class SimulatedSession(SailingSession):
         monitor = TwinMonitor(twin)
         helm.hand_over(autopilot, 0.0, twin.predictor.state)
         z, truth = measurement_row(simulation.z[0]), simulation.state[0, TRUE_STATE]
-        monitor.step(float(simulation.t[0]), z, simulation.cmd[0], truth)
+        monitor.step(float(simulation.t[0]), z, simulation.reported[0], truth)
         self.record(False)
         self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
         self.simulation, self.monitor, self.helm, self.notes = simulation, monitor, helm, notes
