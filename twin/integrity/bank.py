@@ -44,6 +44,7 @@ __all__ = [
     "FILTERS",
     "FRESH",
     "LEFT_OUT",
+    "LEVEL_START",
     "advance_bank",
     "aid_ratio",
     "bank_settings",
@@ -123,6 +124,9 @@ STEPS_MAX = 30
 
 LEVEL_MAX = 6.0
 """Largest level: beyond, a sensor is at fault."""
+
+LEVEL_START = 4.0
+"""Level at the start: how good the sensors are is not known yet."""
 
 LEVEL_TIME_S = 120.0
 """Time constant with which levels are learned ..."""
