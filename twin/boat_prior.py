@@ -67,8 +67,7 @@ BEAM_SAME, MASS_SAME = 0.1, 0.3
 LEAST, MOST = 1e-6, 1e6
 """Within which lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats lie."""
 
-LATER = ("beam", "mass")
-"""Fields that files of before have not: they are then not compared."""
+_SIZES = ("length", "speed", "shaft_speed", "beam", "mass")
 
 NARROWEST = 1e-8
 """Smallest variance in units of the population's: below it is rounding."""
@@ -99,7 +98,7 @@ class BoatPrior:
     mean, covariance : tuple
         Of the parameters, in SI units: p numbers, and p rows of p numbers.
     beam, mass : float
-        As in the particulars: m, kg; 0 where the file does not say it.
+        As in the particulars: m, kg; 0 where they are unknown, and then not compared.
     """
 
     boat: str
@@ -119,10 +118,10 @@ class BoatPrior:
         for name in ("boat", "model", "steering"):
             if not isinstance(getattr(self, name), str):
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
-        for name in ("length", "speed", "shaft_speed", *LATER):
+        for name in _SIZES:
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            unknown = name in LATER and number and value == 0.0
+            unknown = name in ("beam", "mass") and number and value == 0.0
             if not unknown and not (number and LEAST <= value <= MOST):
                 raise BoatPriorError(
                     f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
@@ -154,7 +153,7 @@ class BoatPrior:
         object.__setattr__(self, "parameters", tuple(names))
         object.__setattr__(self, "mean", tuple(mean.tolist()))
         object.__setattr__(self, "covariance", tuple(tuple(row) for row in cov.tolist()))
-        for name in ("length", "speed", "shaft_speed", *LATER):
+        for name in _SIZES:
             object.__setattr__(self, name, float(getattr(self, name)))
 
     @classmethod
@@ -163,8 +162,8 @@ class BoatPrior:
         if not isinstance(table, dict):
             raise BoatPriorError("a prior is a file or a table of keys and values")
         wanted = {item.name for item in dataclasses.fields(cls)}
-        if set(table) | set(LATER) != wanted:
-            odd = sorted((set(table) | set(LATER)) ^ wanted)
+        if set(table) != wanted:
+            odd = sorted(set(table) ^ wanted)
             raise BoatPriorError(f"key(s) missing or unknown: {', '.join(odd)}")
         return cls(**table)
 

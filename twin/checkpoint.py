@@ -1,8 +1,8 @@
 """Files of saved state: fields by name, checked as they are read.
 
-A file is a zip archive with ``header.json`` and one ``.npy`` file for each array. It holds no
-code, no pickles and no memory layout. So it is read after any edit of the program, as long as
-the fields keep their names and meanings and :data:`VERSION` stays.
+A file is a zip archive with ``header.json`` and one ``.npy`` file for each array, whose checksums
+show damage. It holds no code, no pickles and no memory layout. So it is read after any edit of the
+program, as long as the fields keep their names and meanings and :data:`VERSION` stays.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import zipfile
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -28,7 +27,6 @@ from usv_kernel.files import parse_json, write_whole
 
 __all__ = [
     "VERSION",
-    "Field",
     "State",
     "StateError",
     "check_fields",
@@ -44,15 +42,12 @@ State: TypeAlias = dict[str, Any]
 
 FORMAT = "usv-twin state"
 
-VERSION = 3
+VERSION = 4
 """Version of the format. It rises when a field changes its name or meaning."""
 
 _HEADER = "header.json"
 
 _SCALARS = (bool, int, float, str, type(None))
-
-HUGE = 1e60
-"""Larger numbers are damage: their squares and products must stay finite."""
 
 _EARLIER = "use an earlier copy of the file"
 
@@ -92,110 +87,28 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """
     remedy = "choose a file that Twin.save wrote"
     entries = read_archive(path, StateError, "saved twin", remedy)
-    if {"header", "memory"} <= set(entries):
-        _refuse_version(path, 2, "0.1")
     if _HEADER not in entries:
         raise StateError(f"{path}: is no saved twin; {remedy}")
     header = parse_json(Path(path), entries.pop(_HEADER), StateError)
-    _check_header(path, header)
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise StateError(f"{path}: is no saved twin; {remedy}")
+    if header.get("version") != VERSION:
+        raise StateError(
+            f"{path}: has format version {header.get('version')}, written by usv-twin "
+            f"{header.get('software')}; usv-twin {__version__} reads version {VERSION}: load it "
+            "with that one, or start a new twin"
+        )
     if any(isinstance(entry, bytes) for entry in entries.values()):
         raise StateError(f"{path}: is cut off or damaged; {_EARLIER}")
     return header, entries
 
 
-def _check_header(path: str | Path, header: Any) -> None:
-    """Refuse what is no header of this format and version."""
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise StateError(f"{path}: is no saved twin; choose a file that Twin.save wrote")
-    if header.get("version") != VERSION:
-        _refuse_version(path, header.get("version"), header.get("software"))
-
-
-def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
-    raise StateError(
-        f"{path}: has format version {version}, written by usv-twin {software}; usv-twin "
-        f"{__version__} reads version {VERSION}: load it with that one, or start a new twin"
-    )
-
-
-@dataclass(frozen=True)
-class Field:
-    """What a field of a saved state may hold."""
-
-    # bounds of its numbers, inclusive; a tuple for those of a vector
-    low: float | tuple[float, ...] = -HUGE
-    high: float | tuple[float, ...] = HUGE
-    integer: bool = False  # only whole numbers, as for what a kernel uses as an index or a counter
-    # whether NaN and infinity are allowed
-    nan: bool = False
-    infinite: bool = False
-    covariance: bool = False  # symmetric in its last two axes, with variances of 0 or more
-    # its shape, None for any length; that of the present value if left out
-    shape: tuple[int | None, ...] | None = None
-    none: bool = False  # whether None is allowed
-
-    def problem(self, value: Any, like: Any) -> str | None:
-        """Return what is wrong with a value in the place of another; None if nothing is."""
-        if value is None:
-            return None if self.none or like is None else "is None"
-        if isinstance(like, (bool, np.bool_)):
-            return None if isinstance(value, bool) else "is no truth value"
-        if isinstance(like, str):
-            return None if isinstance(value, str) else "is no text"
-        array = np.asarray(value)
-        if array.dtype.kind not in "iuf":
-            return f"is of type {array.dtype} where numbers are needed"
-        shape = np.shape(like) if self.shape is None else self.shape
-        if array.ndim != len(shape) or any(
-            n not in (None, m) for n, m in zip(shape, array.shape, strict=True)
-        ):
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            return f"has shape {array.shape} where ({wanted}) is needed"
-        return self._number_problem(array)
-
-    def _number_problem(self, array: NDArray[Any]) -> str | None:
-        if not self.nan and np.isnan(array).any():
-            return "holds NaN"
-        if not self.infinite and np.isinf(array).any():
-            return "holds infinity"
-        finite = np.isfinite(array)
-        if self.integer and (array != np.floor(array))[finite].any():
-            return "holds numbers that are not whole"
-        if (finite & ((array < self.low) | (array > self.high))).any():
-            return f"holds numbers outside {self.low} to {self.high}"
-        if self.covariance and array.size:
-            variances = np.einsum("...ii->...i", array)
-            bound = 1e-6 * (np.abs(array).max() + 1e-300)
-            if (variances < 0.0).any() or (
-                np.abs(array - np.swapaxes(array, -1, -2)) > bound
-            ).any():
-                return "is no covariance"
-        return None
-
-
-ANY = Field()
-"""Finite numbers of the present shape."""
-
-GAPS = Field(nan=True)
-"""The same, or NaN."""
-
-FLAG = Field(low=0.0, high=1.0, integer=True)
-"""0 or 1."""
-
-COUNT_MAX = 2.0**52
-"""Whole numbers up to it are exact in a double."""
-
-COUNT = Field(low=0.0, high=COUNT_MAX, integer=True)
-"""A whole number, 0 or more, that a double holds exactly."""
-
-
 def check_fields(
-    found: Mapping[str, Any], wanted: Mapping[str, Any], fields: Mapping[str, Field]
+    found: Mapping[str, Any], wanted: Mapping[str, Any], ragged: Iterable[str] = ()
 ) -> None:
-    """Compare saved fields with ``wanted``, the present values, in shapes, types and bounds.
+    """Compare saved fields with ``wanted``, the present values: names, types and shapes.
 
-    ``fields`` say what each may hold, :data:`ANY` where left out. StateError names the field and
-    the remedy.
+    Those in ``ragged`` may have any number of rows. StateError names the field and the remedy.
     """
     for name in wanted:
         if name not in found:
@@ -203,9 +116,13 @@ def check_fields(
     for name, value in found.items():
         if name not in wanted:
             raise StateError(f"field {name!r} is unknown here; {_SAME}")
-        problem = fields.get(name, ANY).problem(value, wanted[name])
+        problem = _other_kind(value, wanted[name])
+        first = 1 if name in ragged else 0
+        shape, like = np.shape(value)[first:], np.shape(wanted[name])[first:]
+        if problem is None and shape != like:
+            problem = f"has shape {np.shape(value)} where {np.shape(wanted[name])} is needed"
         if problem is not None:
-            raise StateError(f"field {name!r} {problem}; {_SAME}, or {_EARLIER}")
+            raise StateError(f"field {name!r} {problem}; {_SAME}")
 
 
 def record_views(memory: NDArray[Any], dtype: np.dtype[Any]) -> dict[str, NDArray[Any]]:
@@ -289,18 +206,11 @@ def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
     return state
 
 
-def restore_attributes(
-    owner: Any,
-    state: Mapping[str, Any],
-    leave_out: Iterable[str] = (),
-    fields: Mapping[str, Field] | None = None,
-) -> None:
+def restore_attributes(owner: Any, state: Mapping[str, Any], leave_out: Iterable[str] = ()) -> None:
     """Give a newly made object of the same class what :func:`saved_attributes` returned.
 
-    ``fields`` say what fields may hold; without one, an array keeps its type and number of axes.
-    StateError names the field and the remedy.
+    An array keeps its type and number of axes. StateError names the field and the remedy.
     """
-    checks = fields or {}
     attributes = dict(_attributes(owner, leave_out))
     rest, restored = dict(state), {}
     for name, value in attributes.items():
@@ -312,10 +222,9 @@ def restore_attributes(
         if key not in rest:
             raise StateError(f"field {key!r} is missing; {_SAME}")
         found = rest.pop(key)
-        field_check = checks.get(key)
-        problem = field_check.problem(found, value) if field_check else _other_kind(found, value)
+        problem = _other_kind(found, value)
         if problem is not None:
-            raise StateError(f"field {key!r} {problem}; {_SAME}, or {_EARLIER}")
+            raise StateError(f"field {key!r} {problem}; {_SAME}")
         restored[name] = _restored(key, found, value)
     if rest:
         raise StateError(f"field {min(rest)!r} is unknown here; {_SAME}")
@@ -327,23 +236,19 @@ def restore_attributes(
 
 
 def _other_kind(found: Any, present: Any) -> str | None:
-    """Return what is wrong with a field of which only the present value is known."""
+    """Return what is wrong with a value in the place of another; None if nothing is."""
     if found is None or present is None:
         return None
-    if isinstance(present, np.ndarray):
-        same = isinstance(found, np.ndarray) and (found.dtype.kind, found.ndim) == (
-            present.dtype.kind,
-            present.ndim,
-        )
-    elif isinstance(present, (list, deque)):
+    if isinstance(present, (list, deque)):
         same = isinstance(found, np.ndarray) and found.ndim > 0
-    elif isinstance(present, np.random.Generator):
+    elif isinstance(present, (str, np.random.Generator)):
         same = isinstance(found, str)
     else:
-        numbers = (bool,) if isinstance(present, (bool, np.bool_)) else (int, float)
-        kinds = str if isinstance(present, str) else numbers
-        same = isinstance(found, kinds) and (kinds is not numbers or type(found) in numbers)
-    return None if same else f"is no {type(present).__name__}"
+        one, other = np.asarray(found), np.asarray(present)
+        same = one.ndim == other.ndim and (
+            one.dtype.kind == other.dtype.kind or {one.dtype.kind, other.dtype.kind} <= set("iuf")
+        )
+    return None if same else f"is no {type(present).__name__} as the present one"
 
 
 def _restored(key: str, found: Any, present: Any) -> Any:

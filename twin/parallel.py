@@ -66,7 +66,7 @@ def results_of(
                 for i, result in _pass(left, jobs, backend):
                     del left[i]
                     yield i, result
-            except lost as error:  # noqa: PERF203 - once for a death, not for a call
+            except lost as error:
                 deaths += 1
                 if deaths == DEATHS_MAX:
                     raise BackendError(

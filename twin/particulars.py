@@ -78,20 +78,39 @@ class ParticularsError(UsvTwinError):
     """Particulars that cannot be used; the message names the key and the remedy."""
 
 
-def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
+_MAY_BE_ZERO = (
+    *("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "height_bias_sd", "tilt_sd"),
+    *("gps_latency", "compass_latency", "ahrs_latency", "hull_beam", "spacing"),
+)
+"""The other numbers are above 0."""
+
+_MOST = {
+    **dict.fromkeys(("gps_latency", "compass_latency", "ahrs_latency"), (LATENCY_MAX, "s")),
+    "wind_height": (LENGTH_MAX, "m"),
+    "max_tilt": (0.5 * math.pi, "rad"),
+}
+"""Largest values and their units."""
+
+
+def _check_fields(record: Any) -> None:
+    """Refuse numbers that are not finite or out of their range."""
     for item in dataclasses.fields(record):
-        value = getattr(record, item.name)
-        if item.name in _TRIPLES:
+        name, value = item.name, getattr(record, item.name)
+        if name in _TRIPLES:
             if value is not None:
-                _check_triple(item.name, value)
+                _check_triple(name, value)
             continue
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
         if not math.isfinite(value):
-            raise ParticularsError(f"{item.name} = {value} is not a finite number")
-        if value < 0.0 or (value == 0.0 and item.name in positive):
-            bound = "above 0" if item.name in positive else "0 or more"
-            raise ParticularsError(f"{item.name} = {value} must be {bound}")
+            raise ParticularsError(f"{name} = {value} is not a finite number")
+        if value < 0.0 or (value == 0.0 and name not in _MAY_BE_ZERO):
+            bound = "0 or more" if name in _MAY_BE_ZERO else "above 0"
+            raise ParticularsError(f"{name} = {value} must be {bound}")
+        most, unit = _MOST.get(name, (math.inf, ""))
+        if value > most:
+            remedy = f"; {_as_degrees([value])}" if unit == "rad" else ""
+            raise ParticularsError(f"{name} = {value} must be {most:.4g} {unit} or less{remedy}")
 
 
 _ANGLES = ("compass_sd", "compass_bias_sd", "ahrs_sd", "tilt_sd")
@@ -204,31 +223,7 @@ class Instruments:
     wind_height: float = 10.0
 
     def __post_init__(self) -> None:
-        _check_fields(
-            self,
-            (
-                "gps_sd",
-                "doppler_sd",
-                "compass_sd",
-                "gyro_sd",
-                "accel_sd",
-                "accel_bias_sd",
-                "ahrs_sd",
-                "ahrs_time",
-                "height_sd",
-                "climb_sd",
-                "tilt_time",
-                "wind_height",
-            ),
-        )
-        for name in ("gps_latency", "compass_latency", "ahrs_latency"):
-            latency = getattr(self, name)
-            if latency > LATENCY_MAX:
-                raise ParticularsError(f"{name} = {latency} must be {LATENCY_MAX:g} s or less")
-        if self.wind_height > LENGTH_MAX:
-            raise ParticularsError(
-                f"wind_height = {self.wind_height} must be {LENGTH_MAX:g} m or less"
-            )
+        _check_fields(self)
         for name in ("gps_arm", "imu_arm", "imu_mounting"):
             given = tuple(map(float, getattr(self, name)))
             object.__setattr__(self, name, (*given, 0.0)[:3])
@@ -253,12 +248,7 @@ class Deck:
     max_speed: float = 0.5
 
     def __post_init__(self) -> None:
-        _check_fields(self, ("max_tilt", "max_speed"))
-        if self.max_tilt > 0.5 * math.pi:
-            raise ParticularsError(
-                f"max_tilt = {self.max_tilt} must be {0.5 * math.pi:.4g} rad or less; "
-                f"{_as_degrees([self.max_tilt])}"
-            )
+        _check_fields(self)
         if self.point is not None:
             object.__setattr__(self, "point", (*map(float, self.point), 0.0)[:3])
 
@@ -328,20 +318,7 @@ class Particulars:
     prior: BoatPrior | None = None
 
     def __post_init__(self) -> None:
-        _check_fields(
-            self,
-            (
-                "length",
-                "beam",
-                "draft",
-                "mass",
-                "speed",
-                "shaft_speed",
-                "shaft_lag",
-                "steer_lag",
-                "steer_rate",
-            ),
-        )
+        _check_fields(self)
         if self.steering not in STEERING:
             raise ParticularsError(
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"

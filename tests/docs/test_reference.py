@@ -9,7 +9,7 @@ import gymnasium as gym
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
-from twin.health.state import SENSORS, STATUSES
+from twin.integrity.state import SENSORS, STATUSES
 from twin.logs.columns import UNITS
 from twin.predictors.registry import PREDICTORS
 from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW

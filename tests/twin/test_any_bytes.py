@@ -25,9 +25,9 @@ from twin.agents.hyperparameters import hyperparameters
 from twin.agents.policy import Policy
 from twin.boat_prior import BoatPrior
 from twin.channels import COMMANDS
-from twin.cli.logs.predict import _read_plan
 from twin.files import keep, kept
 from twin.logs.mapping import Layout
+from twin.logs.plan import read_plan
 from twin.predictors.learned.pretrained import Weights
 from usv_gym.hydro.netcdf import read_table
 from usv_gym.vessel.vessel import Vessel
@@ -137,7 +137,7 @@ KINDS = [
     Kind("bag.db3", bag("SQLITE3", "*.db3"), reads_bag),
     Kind("flight.BIN", lambda folder: dataflash(run(60), SKID), reads_log),
     Kind("flight.tlog", telemetry_log, reads_log),
-    Kind("plan.csv", written(run(60), "whole.csv"), lambda p: _read_plan(p, 10.0, 0.1)),
+    Kind("plan.csv", written(run(60), "whole.csv"), lambda p: read_plan(p, 10.0, 0.1)),
     Kind("sea.csv", lambda folder: SPECTRUM, Spectrum.read),
     Kind("policy.npz", drawn("twin"), acts),
     Kind("lstm.npz", drawn("raw", recurrent=True), acts),
@@ -234,15 +234,10 @@ def read_mutants(kind: Kind, folder: Path, count: int, seed: int) -> None:
     assert loaded < count
 
 
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_damaged_files_give_a_sentence_or_load(kind, tmp_path):
-    read_mutants(kind, tmp_path, 60, seed=1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_many_damaged_files_give_a_sentence_or_load(kind, tmp_path):
-    read_mutants(kind, tmp_path, 2000, seed=2)
+def test_damaged_files_give_a_sentence_or_load(kind, count, tmp_path):
+    read_mutants(kind, tmp_path, count, seed=1)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)

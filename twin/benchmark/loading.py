@@ -16,7 +16,7 @@ from twin.sim.bridge import particulars_of, simulate
 from twin.sim.recorded import read_run
 from usv_gym.manoeuvring.manoeuvres import MISSION
 from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, time_to_know
-from usv_gym.world.faults import Disturbance, apply_faults, parse_faults
+from usv_gym.world.faults import REPORTED, Disturbance, apply_faults, parse_faults
 from usv_gym.world.sensors import SensorSuite
 
 __all__ = [
@@ -38,13 +38,13 @@ def fault_start(settings: Settings, identify: float) -> float:
 
 
 def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
-    """Return a log with faults of its sensors; equal arguments give equal logs."""
+    """Return a log with faults of its sensors and commands; equal arguments give equal logs."""
     # the anemometer's columns; where there are none, those of the true wind
     apparent = np.isfinite(log.z[:, MOTION_END:]).any()
     wind = range(MOTION_END, len(MEASUREMENTS)) if apparent else (WIND_SPEED, WIND_FROM)
     columns = [*range(WIND_SPEED), *range(MOTION_AT, MOTION_END), *wind]
-    z = apply_faults(log.t, log.z, faults, np.random.default_rng(0), columns)
-    return dataclasses.replace(log, z=z)
+    z, cmd = apply_faults(log.t, log.z, log.cmd, faults, np.random.default_rng(0), columns)
+    return dataclasses.replace(log, z=z, cmd=cmd)
 
 
 def recorded_identify_s(log: Log) -> float:
@@ -79,18 +79,20 @@ def load_run(settings: Settings, unit: Unit) -> Run:
         if sea.current == 0.0:
             sea = sea.replace(current=CURRENT, current_to=CURRENT_TO)
     suite = SensorSuite.grade(unit.grade) if unit.grade else None
-    start = fault_start(settings, identify)
+    faults = parse_faults(unit.fault, fault_start(settings, identify))
+    # the reference keeps the commands that the boat got
+    told = [fault for fault in faults if fault.kind in REPORTED]
     log = simulate(
         unit.scenario,
         vessel=vessel,
         sea=sea,
         duration=duration,
         seed=unit.seed,
-        faults=parse_faults(unit.fault, start),
+        faults=[fault for fault in faults if fault.kind not in REPORTED],
         suite=suite,
         dof=settings.dof,
     )
     particulars = particulars_of(vessel, suite, settings.dof)
     simulator = (vessel, sea, settings.dof)
     log = dataclasses.replace(log, name=unit.run)
-    return Run(log.without_truth(), log, particulars, identify, simulator)
+    return Run(with_faults(log, told).without_truth(), log, particulars, identify, simulator)

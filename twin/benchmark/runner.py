@@ -55,7 +55,7 @@ from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.channels import GPS_BIT
+from usv_gym.world.channels import FIXES_BIT, GPS_BIT
 from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
@@ -144,7 +144,7 @@ def run_unit(
             raise BenchmarkError(f"{run.reference.name}: its truth has gaps")
         if held is not None:
             held_errors.append(held.squared_errors(truth[[0, -1]][:, :3], times[[0, -1]]))
-        known = known_plan(seen, row, HORIZONS[-1], dt)
+        known = known_plan(run.reference, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             try:
@@ -461,7 +461,9 @@ def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
     return [
         (fault.start, fault.start + fault.duration)
         for fault in faults
-        if isinstance(fault, Fault) and fault.effect == "loss" and FAULT_KINDS[fault.kind] & GPS_BIT
+        if isinstance(fault, Fault)
+        and fault.effect == "loss"
+        and FAULT_KINDS[fault.kind] & (GPS_BIT | FIXES_BIT)
     ]
 
 

@@ -1,4 +1,4 @@
-"""How far a twin of a log may be trusted: five or six answers with numbers, and a colour.
+"""Whether the twin of a log may be trusted: a few answers with numbers, each ok, doubtful or bad.
 
 The twin runs over the log once. Meanwhile its forecasts are scored as in the benchmark, against
 the log's own fixes and headings and beside persistence, and copies of it go on without GPS.
@@ -9,8 +9,9 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,121 +19,136 @@ from numpy.typing import NDArray
 
 from twin.benchmark.protocol import BenchmarkError
 from twin.benchmark.scores import Reference, score
-from twin.benchmark.trust_answers import (
-    AMBER,
-    COLOURS,
-    DOUBTFUL_AMBER,
-    EXCLUDED_AMBER,
-    EXCLUDED_RED,
-    FAR,
-    FAR_AMBER,
-    GREEN,
-    RED,
-    SEE_CHECK,
-    SPEED_LEAST,
-    SPEED_MOST,
-    Answer,
-    HealthCount,
-    other_boat,
-    parameter_answer,
-    sensor_answer,
-    turned_effects,
-    with_parameters_in_use,
-)
 from twin.boat_prior import ENVIRONMENT
+from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigator import Navigator
-from twin.integrity.findings import Finding
+from twin.integrity.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Estimate, ParametersInUse, Prediction
 from twin.predictors.baselines import hold_velocity
+from twin.predictors.registry import DEFAULT
+from twin.sim.oracle import check_simulator
 from usv_kernel.scalar import wrap
 
 __all__ = [
-    "AMBER",
-    "GREEN",
-    "RED",
-    "RULES",
+    "BAD",
+    "DOUBTFUL",
+    "OK",
     "Answer",
     "GpsLoss",
     "ScoredForecast",
     "TrustMeter",
     "Verdict",
-    "position_bound",
-    "worst_of",
+    "judge",
 ]
 
 Array = NDArray[np.float64]
 
-HORIZON = 10.0
-"""Of the forecasts that are scored, s."""
+OK, DOUBTFUL, BAD = "ok", "doubtful", "bad"
 
-STEP = 0.25
-"""Of the forecasts, s, where the log has no longer one."""
+GRADES = (OK, DOUBTFUL, BAD)
+"""From best to worst."""
 
-RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
-"""Error over that of persistence, up to which a forecast is green or amber."""
+HORIZON_S = 10.0
+"""Length of the forecasts that are scored."""
 
-RATIO_LIMITS = f"green up to {RATIO_GREEN:g}, red above {RATIO_AMBER:g}"
-"""The same in words, beside a ratio that is not green."""
+FORECAST_EVERY_S = 2.0
+"""Time between two of them."""
 
-COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
-"""Share inside the claimed 90 %, from which on it is green or amber ..."""
+FORECAST_STEP_MIN_S, FORECAST_STEP_MAX_S = 0.25, 0.5
+"""Their step is that of the log within these bounds."""
 
-CLAIMED, CHANCE = 0.9, 2.5
-"""... and how many standard deviations less than claimed a short log may show by chance."""
+RATIO_OK, RATIO_DOUBTFUL = 0.9, 1.1
+"""Error over that of persistence, up to which a forecast is ok or doubtful."""
 
-STEADY = 2.0
-"""Where persistence is off by so many times the noise of the sensors, the boat kept its motion."""
+STEADY_NOISE = 2.0
+"""Where twin and persistence err by less than so many times the noise of the sensors, the boat
+kept its motion, and no twin can be better."""
 
-BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
-"""Seconds without GPS from which on they are green or amber."""
+COVERAGE_OK, COVERAGE_DOUBTFUL = 0.75, 0.5
+"""Share inside the claimed 90 % from which on it is ok or doubtful."""
 
-BOUND_MIN, BOUND_NOISE = 5.0, 5.0
-"""The bound of the position error without GPS is at least this (m, standard deviations of a fix),
-or the boat's length if that is more."""
+CLAIMED = 0.9
+"""Share that the intervals claim to hold."""
 
-LOSSES, LOSS_SPAN = 8, 60.0
-"""Losses of GPS that are tried, and the longest, s."""
+CHANCE_SD = 2.5
+"""A short log may show so many standard deviations less than claimed by chance."""
 
-EVERY = 2.0
-"""Time between forecasts, s."""
+SCORED_MIN_S = 60.0
+"""Forecasts over less time than this are never bad."""
 
-SCORED_MIN = 60.0
-"""Forecasts over less time than this, s, say too little: they are never red."""
+WITHOUT_GPS_OK_S, WITHOUT_GPS_DOUBTFUL_S = 30.0, 10.0
+"""Time without GPS within the bound from which on it is ok or doubtful."""
 
-LOSS_MIN = BEARS_AMBER
-"""A shorter one says nothing, s."""
+LOSSES = 8
+"""Losses of GPS that are tried in the later half of the log."""
 
-RULES = (
-    "Green needs all of these. "
-    f"Forecast: the error at {HORIZON:g} s is up to {RATIO_GREEN:g} of that of persistence, which "
-    "holds the velocities. The noise of the sensors is allowed too, or "
-    f"{STEADY:g} times it where persistence errs no more. "
-    f"Coverage: {COVERAGE_GREEN:.0%} or more lie inside the claimed 90 %; a short log may show "
-    f"less by chance. Without GPS: {BEARS_GREEN:g} s or more. "
-    f"Parameters: none is beyond {FAR:g} prior standard deviations, and no effect of a command "
-    "has the other sign. Steering is as the particulars say. The speed straight ahead is "
-    f"{SPEED_LEAST:g} to {SPEED_MOST:g} times the stated one. The parameters in use are not the "
-    "prior of a population. Sensors: the log check has no error or warning, and no sensor is "
-    f"excluded for {EXCLUDED_AMBER:.0%} or doubtful for {DOUBTFUL_AMBER:.0%} of the run. "
-    f"Attitude, where the log has it: error after {TILT_HORIZON:g} s and coverage by the same "
-    "limits.\n\n"
-    f"Amber allows {RATIO_AMBER:g} of persistence, a coverage of {COVERAGE_AMBER:.0%}, and "
-    f"{BEARS_AMBER:g} s without GPS. It allows up to {FAR_AMBER} parameters beyond, or more where "
-    "the first three lines are green. It allows a population's prior in use, and warnings. What a "
-    f"log is too short to tell is amber: forecasts over less than {SCORED_MIN:g} s.\n\n"
-    "Red is anything else, such as commands, GPS or compass that are excluded for "
-    f"{EXCLUDED_RED:.0%} of the run. The worst line counts."
-)
-"""The rules of the colours, for a help page."""
+LOSS_MAX_S, LOSS_MIN_S = 60.0, 10.0
+"""They last so long at most; shorter ones say nothing."""
+
+BOUND_MIN_M, BOUND_NOISE_SD = 5.0, 5.0
+"""The bound of the position error without GPS is the boat's length, this, or so many standard
+deviations of a fix, whichever is largest."""
+
+FAR_SD = 4.0
+"""Prior standard deviations beyond which a parameter is far."""
+
+FAR_DOUBTFUL = 4
+"""Up to so many far parameters are doubtful, more are bad."""
+
+SIGN_BEFORE_SD, SIGN_AFTER_SD = 1.5, 2.0
+"""Standard deviations by which a sign is known in the prior and after the run."""
+
+EFFECTS = {
+    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
+    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
+    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
+}
+"""Parameters that say what commands do, and their equations."""
+
+DAMPING = {
+    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
+    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
+    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
+}
+"""Parameters that damp the motion, and their equations."""
+
+SPEED_RATIO_MIN, SPEED_RATIO_MAX = 0.4, 1.7
+"""Bounds of the speed straight ahead over what the particulars say at that shaft speed: the
+parameters move far enough to hide another boat. On 33 recorded runs of five boats with their own
+particulars the ratio lies between .50 and 1.42."""
+
+STRAIGHT_LENGTHS = 3.0
+"""Over the time for so many lengths shaft speeds and course are to be steady."""
+
+STRAIGHT_RATE = 0.2
+"""Largest yaw rate times length over speed of a boat that goes straight ahead."""
+
+STRAIGHT_MIN_S = 20.0
+"""Less time straight ahead says nothing of the speed."""
+
+STEADY_SHAFT, FAST_SHAFT = 0.2, 0.3
+"""Largest standard deviation of steady shaft speeds over their mean, and the least mean over the
+largest shaft speed of the run."""
+
+EXCLUDED_DOUBTFUL, DOUBTED_DOUBTFUL = 0.05, 0.2
+"""Shares of a run from which on a sensor that the twin excluded, or doubted, is doubtful."""
+
+EXCLUDED_BAD = 0.8
+"""Share from which on the exclusion of one of :data:`NEEDED` is bad."""
+
+NEEDED = ("commands", "compass", "gps")
+"""A twin learns nothing without these."""
+
+_COMPASS = MEASUREMENTS.index("compass_rad")
 
 
 class ScoredForecast(NamedTuple):
-    """One forecast, and how far it and persistence were off at :data:`HORIZON`."""
+    """One forecast, and how far it and persistence were off after :data:`HORIZON_S`."""
 
     t: float  # time at which it was made, s
     path: Array  # (k, 2) positions from the start on, m
@@ -149,34 +165,81 @@ class GpsLoss(NamedTuple):
     error: Array  # (k,) error of the displacement then, m
 
 
+@dataclass(frozen=True)
+class Answer:
+    """One line of a verdict.
+
+    Parameters
+    ----------
+    about : str
+        forecast, coverage, without GPS, parameters, sensors or attitude.
+    grade : str
+        ok, doubtful or bad.
+    text : str
+        The answer in words, with its numbers.
+    numbers : dict
+        The same for a program; SI units.
+    """
+
+    about: str
+    grade: str
+    text: str
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The answers, and what they were made from."""
+    """Whether a twin may be trusted, and what that rests on.
+
+    Parameters
+    ----------
+    boat, log, predictor : str
+        Names.
+    bound : float
+        Of the position error without GPS, m.
+    answers : tuple of Answer
+        Five, and a sixth where the log shows roll and pitch.
+    forecasts : tuple of ScoredForecast
+        One every :data:`FORECAST_EVERY_S`.
+    losses : tuple of GpsLoss
+        Those that were tried.
+    deviations : tuple of (str, float)
+        Parameters and their distance from the prior in its standard deviations, largest first.
+    in_use : ParametersInUse or None
+        Candidate with which the predictor forecasts; None where it has no choice.
+    notes : tuple of str
+        When the twin doubted or excluded which sensor.
+    """
 
     boat: str
     log: str
     predictor: str
-    bound: float  # of the position error without GPS, m
+    bound: float
     answers: tuple[Answer, ...]
     forecasts: tuple[ScoredForecast, ...]
     losses: tuple[GpsLoss, ...]
-    # names, and deviation from the prior in its standard deviations, largest first
     deviations: tuple[tuple[str, float], ...]
-    in_use: ParametersInUse | None = None  # None where the predictor has no choice
+    in_use: ParametersInUse | None = None
+    notes: tuple[str, ...] = ()
 
     @property
-    def colour(self) -> str:
-        """The worst of the answers' colours."""
-        return max((answer.colour for answer in self.answers), key=COLOURS.index)
+    def grade(self) -> str:
+        """The worst grade of the answers."""
+        return _worst(answer.grade for answer in self.answers)
 
     @property
-    def fault(self) -> str:
-        """Why sensors or commands are at fault, so that parameters learned the fault; or empty."""
+    def unfit(self) -> str:
+        """Why no prior of the boat should be made of this run; empty if it may be.
+
+        Sensors or commands are at fault, so that the parameters learned the fault, or the forecasts
+        are bad, so that the run may be of another boat.
+        """
+        reasons = []
         for answer in self.answers:
             turned = answer.about == "parameters" and answer.numbers.get("sign")
-            if answer.colour == RED and (answer.about == "sensors" or turned):
-                return answer.text.removesuffix(f": {SEE_CHECK}").removesuffix(f"; {SEE_CHECK}")
-        return ""
+            if answer.grade == BAD and (turned or answer.about in ("sensors", "forecast")):
+                reasons.append(f"{answer.about}: {answer.text}")
+        return "; ".join(reasons)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as plain data."""
@@ -184,59 +247,61 @@ class Verdict:
             "boat": self.boat,
             "log": self.log,
             "predictor": self.predictor,
-            "colour": self.colour,
-            "answers": [answer.to_json() for answer in self.answers],
+            "grade": self.grade,
+            "answers": [dataclasses.asdict(answer) for answer in self.answers],
             "gps_losses": [
                 {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
                 for loss in self.losses
             ],
             "deviations_in_prior_sd": dict(self.deviations),
             "parameters_in_use": None if self.in_use is None else self.in_use.name,
+            "health_notes": list(self.notes),
         }
 
 
-def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
-    """Return one verdict on several runs of a boat: of each answer, the worst one.
-
-    Of answers of one colour, that with the worst number.
+def judge(
+    log: Log,
+    particulars: Particulars,
+    predictor: str = DEFAULT,
+    *,
+    model: str | None = None,
+    findings: Sequence[Finding] = (),
+    on_row: Callable[[], object] | None = None,
+) -> Verdict:
+    """Run a twin over a log, and say whether it may be trusted.
 
     Parameters
     ----------
-    verdicts : sequence of Verdict
-        One for each run, of one boat and predictor.
+    log : Log
+        The run; its truth is not used.
+    particulars : Particulars
+        Of the boat.
+    predictor, model : str, optional
+        Names of the predictor and of its model's structure.
+    findings : sequence of Finding
+        What :func:`twin.integrity.log_check.check_log` found in the log.
+    on_row : callable, optional
+        Called without arguments after each row.
+
+    Returns
+    -------
+    Verdict
+        With its numbers.
     """
-    answers = []
-    for about in dict.fromkeys(answer.about for each in verdicts for answer in each.answers):
-        found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
-        log, worst = max(found, key=lambda pair: _badness(pair[1]))
-        same = sum(pair[1].colour == worst.colour for pair in found)
-        count = f"{same} of {len(found)}" if same < len(found) else f"all {len(found)}"
-        runs = f"; {count} runs {worst.colour}" if len(found) > 1 else ""
-        more = f" [of {log}{runs}]" if len(verdicts) > 1 else ""
-        answers.append(dataclasses.replace(worst, text=worst.text + more))
-    deviations: dict[str, float] = {}
-    for name, size in (pair for each in verdicts for pair in each.deviations):
-        deviations[name] = max(size, deviations.get(name, 0.0))
-    return dataclasses.replace(
-        verdicts[0],
-        log=f"{len(verdicts)} runs of {verdicts[0].boat}",
-        answers=tuple(answers),
-        forecasts=tuple(f for each in verdicts for f in each.forecasts),
-        losses=tuple(loss for each in verdicts for loss in each.losses),
-        deviations=tuple(sorted(deviations.items(), key=lambda pair: -pair[1])),
-    )
+    check_simulator(predictor, log, particulars)
+    run = log.without_truth()
+    options: dict[str, Any] = {} if model is None else {"model": model}
+    twin = Twin(particulars, predictor, **options)
+    twin.locate(run.datum)
+    meter = TrustMeter(twin, run)
 
+    def each_row() -> None:
+        meter()
+        if on_row is not None:
+            on_row()
 
-def _badness(answer: Answer) -> tuple[int, tuple[float, ...]]:
-    """Return what orders answers: by colour, then by the number."""
-    # where there is none, the log cannot tell: it has no worse number than another
-    return COLOURS.index(answer.colour), answer.badness
-
-
-def position_bound(particulars: Particulars) -> float:
-    """Return the position error (m) beyond which a twin without GPS is not to be trusted."""
-    noise = BOUND_NOISE * particulars.instruments.gps_sd
-    return max(particulars.length, BOUND_MIN, noise)
+    twin.run(run, each_row)
+    return meter.verdict(findings)
 
 
 class TrustMeter:
@@ -256,20 +321,20 @@ class TrustMeter:
         self.bound = position_bound(self.particulars)
         self.prior = twin.estimate()  # parameters before the first row
         self._navigator = Navigator(self.particulars)
-        self._health = HealthCount()
+        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(
+            float
+        )  # s, by sensor and status
         try:
             self._reference: Reference | None = Reference(log)
         except BenchmarkError:
             self._reference = None
         first, last = float(log.t[0]), float(log.t[-1])
-        span = last - first
-        self._next = first + min(60.0, 0.4 * span)
-        self._next_tilt = self._next
-        self._end = last - HORIZON
-        length = min(LOSS_SPAN, 0.4 * span)
-        starts = np.linspace(max(self._next, first + 0.5 * span), last - length, LOSSES)
-        self._loss_length = length
-        self._loss_starts = starts.tolist() if length >= LOSS_MIN else []
+        self._span = span = last - first
+        self._next = self._next_tilt = first + min(60.0, 0.4 * span)
+        self._end = last - HORIZON_S
+        self._loss_length = min(LOSS_MAX_S, 0.4 * span)
+        starts = np.linspace(max(self._next, first + 0.5 * span), last - self._loss_length, LOSSES)
+        self._loss_starts = starts.tolist() if self._loss_length >= LOSS_MIN_S else []
         self._row = 0
         self._tilt = TiltMeter(twin.motion)
         self.forecasts: list[ScoredForecast] = []
@@ -282,17 +347,19 @@ class TrustMeter:
         t = float(log.t[row])
         step = t - float(log.t[row - 1]) if row else 0.0
         self._navigator.update(step, log.z[row])
-        self._health.take(step, self.twin.health_history.at(t))
+        for sensor, now in self.twin.health_history.at(t).items():
+            if now.status in ("doubtful", "excluded"):
+                self._seconds_in[sensor, now.status] += step
         self._tilt.take(t)
         if self._reference is None:
             return
         if self.twin.motion.active and self._next_tilt - 1e-9 <= t <= self._end + 1e-9:
             while self._next_tilt <= t + 1e-9:
-                self._next_tilt += EVERY
+                self._next_tilt += FORECAST_EVERY_S
             self._note_tilt(row)
-        if t >= self._next - 1e-9 and t <= self._end + 1e-9:
+        if self._next - 1e-9 <= t <= self._end + 1e-9:
             while self._next <= t + 1e-9:
-                self._next += EVERY
+                self._next += FORECAST_EVERY_S
             self._score(row, t)
         if self._loss_starts and t >= self._loss_starts[0] - 1e-9:
             del self._loss_starts[0]
@@ -300,7 +367,7 @@ class TrustMeter:
 
     def _plan(self, row: int, horizon: float) -> tuple[Array, float]:
         """Return the commands after a row, and the time between them, s."""
-        dt = min(max(self.log.dt, STEP), 0.5)
+        dt = min(max(self.log.dt, FORECAST_STEP_MIN_S), FORECAST_STEP_MAX_S)
         return known_plan(self.log, row, horizon, dt), dt
 
     def _note_tilt(self, row: int) -> None:
@@ -315,17 +382,17 @@ class TrustMeter:
     def _score(self, row: int, t: float) -> None:
         """Score forecasts of twin and persistence from a row."""
         assert self._reference is not None
-        times = np.array([t, t + HORIZON])
+        times = np.array([t, t + HORIZON_S])
         if not self._reference.known(times):
             return
         truth = self._reference.at(times)
-        plan, dt = self._plan(row, HORIZON)
+        plan, dt = self._plan(row, HORIZON_S)
         prediction = self.twin.predictor.predict(plan, dt)
-        own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
+        own = score(_with_noise(prediction, self.particulars), truth, (HORIZON_S,))
         error = float(own.displacement[0]), abs(float(own.error[0, -1]))
         covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
         state = self._navigator.state
-        held = hold_velocity(state, state[3:], np.array([HORIZON]))[0]
+        held = hold_velocity(state, state[3:], np.array([HORIZON_S]))[0]
         moved = held[:2] - state[:2] - (truth[1, :2] - truth[0, :2])
         persistence = float(np.hypot(*moved)), abs(wrap(float(held[2] - truth[1, 2])))
         path = np.concatenate([prediction.start[None, :2], prediction.mean[3::4, :2]])
@@ -340,8 +407,9 @@ class TrustMeter:
         earlier = np.flatnonzero(seen[: row + 1])
         if not len(earlier) or t_0 - log.t[earlier[-1]] > 2.0 or not predictor.estimate().ready:
             return
+        assert self._reference is not None
         # what the last fixes differ by, such as noise and delay, is no error of the loss
-        start = predictor.state[:2] - self._fix(t_0)
+        start = predictor.state[:2] - self._reference.at(np.array([t_0]))[0, :2]
         after, error = [], []
         for k in range(row + 1, ends):
             z = log.z[k].copy()
@@ -354,33 +422,21 @@ class TrustMeter:
         if after:
             self.losses.append(GpsLoss(t_0, np.array(after), np.array(error)))
 
-    def _fix(self, t: float) -> Array:
-        """Return the position of the fixes at a time."""
-        assert self._reference is not None
-        return self._reference.at(np.array([t]))[0, :2]
-
     def verdict(self, findings: Sequence[Finding] = ()) -> Verdict:
-        """Return the five answers, and a sixth where the log shows roll and pitch.
+        """Return the verdict on the rows so far.
 
         Parameters
         ----------
         findings : sequence of Finding
-            Of ``twin.integrity.log_check.check_log``.
+            What :func:`twin.integrity.log_check.check_log` found in the log.
         """
-        in_use, own = self.twin.predictor.parameters_in_use(), self.particulars.prior is not None
-        last = self._compared(in_use)
-        deviations, drag = self._deviations(last)
-        turned = turned_effects(self.twin.predictor.parameter_names, self.prior, last)
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
-        other = other_boat(self.log, self.particulars)
-        parameters = parameter_answer(deviations, turned, drag, other, own)
-        parameters = with_parameters_in_use(parameters, in_use, own)
-        if not self.twin.estimate().ready:
-            parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
-        elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
-            # the prior may be too narrow for a boat that its twin predicts well
-            parameters = dataclasses.replace(parameters, colour=AMBER)
-        answers: tuple[Answer, ...] = (*scores, parameters, sensor_answer(findings, self._health))
+        deviations, parameters = self._parameter_answer(scores)
+        answers: tuple[Answer, ...] = (
+            *scores,
+            parameters,
+            sensor_answer(findings, self._seconds_in, self._span),
+        )
         if self.twin.motion.active:
             answers = (*answers, self._tilt_answer())
         return Verdict(
@@ -392,32 +448,28 @@ class TrustMeter:
             forecasts=tuple(self.forecasts),
             losses=tuple(self.losses),
             deviations=tuple(deviations),
-            in_use=in_use,
+            in_use=self.twin.predictor.parameters_in_use(),
+            notes=tuple(self.twin.notes),
         )
 
-    def _compared(self, in_use: ParametersInUse | None) -> Estimate:
-        """Return the last estimate, with the best refit's parameters where the prior is in use."""
-        last = self.twin.estimate()
-        if in_use is None or not in_use.is_prior or in_use.refit is None:
-            return last
-        mean, sd = in_use.refit
-        return dataclasses.replace(last, params=mean, params_sd=sd)
+    @property
+    def _seconds(self) -> float:
+        """Time over which forecasts were scored, s."""
+        return self.forecasts[-1].t - self.forecasts[0].t
 
     def _forecast_answer(self) -> Answer:
         if not self.forecasts:
-            return Answer("forecast", AMBER, "cannot tell: too few fixes and headings")
+            return Answer("forecast", DOUBTFUL, "cannot tell: too few fixes and headings")
         own = _root_mean_square([f.error for f in self.forecasts])
         held = _root_mean_square([f.persistence for f in self.forecasts])
         on_board = self.particulars.instruments
         # two fixes, each of two coordinates; two headings
         noise = math.sqrt(2.0) * np.array([math.sqrt(2.0) * on_board.gps_sd, on_board.compass_sd])
-        ratio = own / np.maximum(held, 1e-12)
-        small = (own <= noise) | ((own <= STEADY * noise) & (held <= STEADY * noise))
-        worst = float(np.max(np.where(small, 0.0, ratio)))
-        degrees = math.degrees(own[1]), math.degrees(held[1])
+        small = (own <= noise) | ((own <= STEADY_NOISE * noise) & (held <= STEADY_NOISE * noise))
+        worst = float(np.max(np.where(small, 0.0, own / np.maximum(held, 1e-12))))
         text = (
-            f"{own[0]:.2f} m and {degrees[0]:.1f} degrees off after {HORIZON:g} s; persistence "
-            f"{held[0]:.2f} m and {degrees[1]:.1f} degrees"
+            f"{own[0]:.2f} m and {math.degrees(own[1]):.1f} degrees off after {HORIZON_S:g} s; "
+            f"persistence {held[0]:.2f} m and {math.degrees(held[1]):.1f} degrees"
         )
         numbers = {
             "n": len(self.forecasts),
@@ -426,40 +478,57 @@ class TrustMeter:
             "persistence_displacement_m": float(held[0]),
             "persistence_heading_rad": float(held[1]),
         }
-        colour = _colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER, self._seconds)
-        above = [
-            f"{name} {value:.3f} times persistence ({RATIO_LIMITS})"
-            for name, value, fine in zip(("position", "heading"), ratio, small, strict=True)
-            if value > RATIO_GREEN and not fine
-        ]
-        text += _why(above, worst > RATIO_AMBER, self._seconds)
-        return Answer("forecast", colour, text, numbers, (worst, float(ratio.max())))
+        grade = _grade(worst <= RATIO_OK, worst <= RATIO_DOUBTFUL, self._seconds)
+        return Answer("forecast", grade, text + _limit(grade, RATIO_LIMIT, self._seconds), numbers)
 
     def _coverage_answer(self) -> Answer:
         if not self.forecasts:
-            return Answer("coverage", AMBER, "cannot tell: no forecast could be scored")
+            return Answer("coverage", DOUBTFUL, "cannot tell: no forecast could be scored")
         place, heading = np.mean([f.covered for f in self.forecasts], axis=0).tolist()
-        count = len(self.forecasts)
         text = (
             f"{place:.0%} of positions and {heading:.0%} of headings inside the claimed 90 % "
-            f"({count} {'forecast' if count == 1 else 'forecasts'})"
+            f"(forecasts: {len(self.forecasts)})"
         )
-        worst = min(place, heading)
-        seconds = self._seconds
-        bound = _coverage_bound(seconds)
-        colour = _colour(worst >= bound, worst >= COVERAGE_AMBER, seconds)
-        below = [
-            f"{name} below {bound:.0%}"
-            for name, share in (("positions", place), ("headings", heading))
-            if share < bound
-        ]
-        text += _why(below, worst < COVERAGE_AMBER, seconds)
-        numbers = {"position": place, "heading": heading}
-        return Answer("coverage", colour, text, numbers, (-worst, -max(place, heading)))
+        worst, bound = min(place, heading), _coverage_bound(self._seconds)
+        grade = _grade(worst >= bound, worst >= COVERAGE_DOUBTFUL, self._seconds)
+        text += _limit(grade, f"ok from {bound:.0%} on", self._seconds)
+        return Answer("coverage", grade, text, {"position": place, "heading": heading})
+
+    def _loss_answer(self) -> Answer:
+        if not self.losses:
+            long_enough = self._loss_length >= LOSS_MIN_S
+            lacks = "has too few fixes and headings" if long_enough else "is too short"
+            text = f"cannot tell: the log {lacks} to cut GPS losses into it"
+            return Answer("without GPS", DOUBTFUL, text, {"bound_m": self.bound})
+        seconds, held = [], []
+        for loss in self.losses:
+            beyond = np.flatnonzero(np.asarray(loss.error > self.bound))
+            held.append(not len(beyond))
+            seconds.append(float(loss.after[beyond[0] if len(beyond) else -1]))
+        # a loss that ended within the bound says nothing against longer ones
+        counted = [math.inf if ok else s for s, ok in zip(seconds, held, strict=True)]
+        median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
+        end = float(np.median([loss.error[-1] for loss in self.losses]))
+        text = (
+            f"position within {self.bound:.3g} m for {'at least ' if held[median] else ''}"
+            f"{seconds[median]:.0f} s (median of losses: {len(seconds)} of {self._loss_length:.0f} "
+            f"s; shortest {min(seconds):.0f} s); median error at the end {end:.1f} m"
+        )
+        numbers = {
+            "bound_m": self.bound,
+            "seconds": seconds,
+            "within_bound": held,
+            "end_error_m": [float(loss.error[-1]) for loss in self.losses],
+        }
+        typical = counted[median]
+        grade = _grade(typical >= WITHOUT_GPS_OK_S, typical >= WITHOUT_GPS_DOUBTFUL_S)
+        text += _limit(grade, f"ok from {WITHOUT_GPS_OK_S:g} s on")
+        return Answer("without GPS", grade, text, numbers)
 
     def _tilt_answer(self) -> Answer:
         if (found := self._tilt.score()) is None:
-            return Answer("attitude", AMBER, "cannot tell: no forecast of roll could be scored")
+            text = "cannot tell: no forecast of roll could be scored"
+            return Answer("attitude", DOUBTFUL, text)
         error, held = np.degrees(found.error), np.degrees(found.held)
         text = (
             f"roll {error[0]:.1f} and pitch {error[1]:.1f} degrees off after {TILT_HORIZON:g} s; "
@@ -467,67 +536,37 @@ class TrustMeter:
             f"{found.inside[1]:.0%} inside the claimed 90 %"
         )
         # a boat that hardly moves is as well known as its sensors are
-        ratio = np.where(found.error <= STEADY * found.known, 0.0, found.error / found.held)
+        ratio = np.where(found.error <= STEADY_NOISE * found.known, 0.0, found.error / found.held)
         worst, inside = float(ratio.max()), float(found.inside.min())
-        colour = _colour(
-            worst <= RATIO_GREEN and inside >= _coverage_bound(found.seconds),
-            worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
+        bound = _coverage_bound(found.seconds)
+        grade = _grade(
+            worst <= RATIO_OK and inside >= bound,
+            worst <= RATIO_DOUBTFUL and inside >= COVERAGE_DOUBTFUL,
             found.seconds,
         )
-        bound, names = _coverage_bound(found.seconds), ("roll", "pitch")
-        reasons = [
-            f"{name} {value:.3f} times the held angle ({RATIO_LIMITS})"
-            for name, value in zip(names, ratio, strict=True)
-            if value > RATIO_GREEN
-        ]
-        reasons += [
-            f"{name} below {bound:.0%}"
-            for name, share in zip(names, found.inside, strict=True)
-            if share < bound
-        ]
-        text += _why(reasons, worst > RATIO_AMBER or inside < COVERAGE_AMBER, found.seconds)
+        text += _limit(grade, f"{RATIO_LIMIT}; ok from {bound:.0%} inside on", found.seconds)
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
-        return Answer("attitude", colour, text, numbers, (worst, -inside))
+        return Answer("attitude", grade, text, numbers)
 
-    @property
-    def _seconds(self) -> float:
-        """Time over which forecasts were scored, s."""
-        return self.forecasts[-1].t - self.forecasts[0].t
-
-    def _loss_answer(self) -> Answer:
-        if not self.losses:
-            long_enough = self._loss_length >= LOSS_MIN
-            lacks = "has too few fixes and headings" if long_enough else "is too short"
-            text = f"cannot tell: the log {lacks} to cut GPS losses into it"
-            return Answer("without GPS", AMBER, text, {"bound_m": self.bound})
-        bears, held = [], []
-        for loss in self.losses:
-            beyond = np.flatnonzero(np.asarray(loss.error > self.bound))
-            held.append(not len(beyond))
-            bears.append(float(loss.after[beyond[0] if len(beyond) else -1]))
-        # a loss that ended within the bound says nothing against longer ones
-        counted = [math.inf if ok else s for s, ok in zip(bears, held, strict=True)]
-        median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
-        at_least = "at least " if held[median] else ""
-        end = float(np.median([loss.error[-1] for loss in self.losses]))
-        many = len(bears) > 1
-        tried = f"median of {len(bears)} losses" if many else "one loss"
-        text = (
-            f"position within {self.bound:.3g} m for {at_least}{bears[median]:.0f} s "
-            f"({tried} of {self._loss_length:.0f} s{f'; shortest {min(bears):.0f} s' * many}); "
-            f"{'median ' * many}error at the end {end:.1f} m"
+    def _parameter_answer(self, scores: Sequence[Answer]) -> tuple[list[tuple[str, float]], Answer]:
+        """Return how far parameters are from the prior, and what that says."""
+        predictor, own = self.twin.predictor, self.particulars.prior is not None
+        in_use, last = predictor.parameters_in_use(), self.twin.estimate()
+        if in_use is not None and in_use.is_prior and in_use.refit is not None:
+            mean, sd = in_use.refit
+            last = dataclasses.replace(last, params=mean, params_sd=sd)
+        deviations, drag = self._deviations(last)
+        if not self.twin.estimate().ready:
+            text = "cannot tell: no fix and heading together"
+            return deviations, Answer("parameters", DOUBTFUL, text)
+        turned = turned_effects(predictor.parameter_names, self.prior, last)
+        answer = parameter_answer(
+            deviations, turned, speed_ratio(self.log, self.particulars), drag, in_use, own
         )
-        numbers = {
-            "bound_m": self.bound,
-            "seconds": bears,
-            "within_bound": held,
-            "end_error_m": [float(loss.error[-1]) for loss in self.losses],
-        }
-        typical = counted[median]
-        colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
-        if colour != GREEN:
-            text += f"; green from {BEARS_GREEN:g} s on"
-        return Answer("without GPS", colour, text, numbers, (-typical, end))
+        if answer.grade == BAD and all(score.grade == OK for score in scores):
+            # the prior may be too narrow for a boat that its twin predicts well
+            answer = dataclasses.replace(answer, grade=DOUBTFUL)
+        return deviations, answer
 
     def _deviations(self, last: Estimate) -> tuple[list[tuple[str, float]], float]:
         """Return how far parameters ended from the prior, in its deviations; and a factor.
@@ -546,27 +585,209 @@ class TrustMeter:
         return sorted(pairs, key=lambda pair: -pair[1]), factor
 
 
-def _coverage_bound(seconds: float) -> float:
-    """Return the share inside the claimed 90 % from which on it is green, of forecasts so long."""
-    # forecasts that overlap count as one
-    chance = CHANCE * math.sqrt(CLAIMED * (1.0 - CLAIMED) / (1.0 + seconds / HORIZON))
-    return max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
+RATIO_LIMIT = f"ok up to {RATIO_OK:g} times persistence, bad above {RATIO_DOUBTFUL:g}"
+"""Ends a line on errors that are not ok."""
 
 
-def _colour(is_green: bool, is_amber: bool, seconds: float) -> str:
-    """Return the colour of scores of forecasts over a time, s; few of them are never red."""
-    return GREEN if is_green else AMBER if is_amber or seconds < SCORED_MIN else RED
+def position_bound(particulars: Particulars) -> float:
+    """Return the position error (m) beyond which a twin without GPS is not to be trusted."""
+    noise = BOUND_NOISE_SD * particulars.instruments.gps_sd
+    return max(particulars.length, BOUND_MIN_M, noise)
 
 
-def _why(reasons: Sequence[str], is_bad: bool, seconds: float) -> str:
-    """Return which of the scores are not green, as the end of a sentence; empty if all are.
+def parameter_answer(
+    deviations: Sequence[tuple[str, float]],
+    turned: Sequence[str] = (),
+    speed: float | None = None,
+    drag: float = 1.0,
+    in_use: ParametersInUse | None = None,
+    own_prior: bool = False,
+) -> Answer:
+    """Return what the parameters say of the boat.
 
-    ``is_bad``: they would be red, of forecasts over :data:`SCORED_MIN` or more.
+    Parameters
+    ----------
+    deviations : sequence of (str, float)
+        Names, and distances from the prior in its standard deviations, largest first. Where the
+        prior is in use they are those of the best refit.
+    turned : sequence of str
+        Effects of commands that ended with the other sign.
+    speed : float or None
+        What :func:`speed_ratio` says.
+    drag : float
+        Factor by which a rough prior was scaled.
+    in_use : ParametersInUse or None
+        Candidate in use. Forecasts with a population's prior confirm no parameters, so that the
+        answer is doubtful at least.
+    own_prior : bool
+        Whether the prior is of earlier runs of this boat.
     """
-    if not reasons:
-        return ""
-    short = f", over {seconds:.0f} s: too few to judge" if is_bad and seconds < SCORED_MIN else ""
-    return f": {'; '.join(reasons)}{short}"
+    far = [(name, size) for name, size in deviations if size > FAR_SD]
+    grades, parts = [], []
+    if not deviations:
+        parts.append("the predictor has none")
+    elif far or turned:
+        grades.append(DOUBTFUL if len(far) <= FAR_DOUBTFUL else BAD)
+        shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
+        asked = "has the boat changed since its own prior" if own_prior else "wrong boat or units"
+        if far:
+            parts.append(
+                f"{len(far)} of {len(deviations)} beyond {FAR_SD:g} prior standard deviations: "
+                f"{shown}; {asked}?"
+            )
+        if turned:
+            parts.append(f"other sign: {', '.join(turned[:4])}; wrong sides or signs of commands?")
+    else:
+        name, size = deviations[0]
+        parts.append(f"all within {FAR_SD:g} prior standard deviations; largest {name}, {size:.1f}")
+    if speed is not None and not SPEED_RATIO_MIN <= speed <= SPEED_RATIO_MAX:
+        grades.append(DOUBTFUL)
+        parts.append(
+            f"straight ahead it goes {speed:.2g} times as fast as speed and shaft_speed say: "
+            "wrong boat, or unit of the commands?"
+        )
+    if not 0.5 < drag < 2.0:
+        parts.append(f"{drag:.2g} times the drag of the rough prior")
+    if in_use is not None:
+        parts.append(f"in use: {in_use.name}")
+        if in_use.is_prior:
+            grades += [] if own_prior else [DOUBTFUL]
+            parts.append("no refit yet" if in_use.refit is None else "the rest is of a refit")
+    numbers = {
+        "far": dict(far),
+        "sign": list(turned),
+        "speed_ratio": speed,
+        "count": len(deviations),
+        "drag": drag,
+        "in_use": None if in_use is None else in_use.name,
+        "prior_in_use": in_use is not None and in_use.is_prior,
+    }
+    return Answer("parameters", _worst(grades), "; ".join(parts), numbers)
+
+
+def turned_effects(names: Sequence[str], prior: Estimate, last: Estimate) -> list[str]:
+    """Return the effects of commands that ended with the other sign, where both are sure.
+
+    An effect and the damping of its motion that are both reversed are the two sides of one
+    equation: a steady run has shown their ratio only.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the parameters (p,).
+    prior, last : Estimate
+        Before the first row, and at the end.
+    """
+    before, after = prior.params, last.params
+    known = (before * after < 0.0) & (np.abs(before) > SIGN_BEFORE_SD * prior.params_sd)
+    sure = known & (np.abs(after) > SIGN_AFTER_SD * last.params_sd)
+    damping = {
+        DAMPING[name]
+        for name, turned in zip(names, known, strict=True)
+        if turned and name in DAMPING
+    }
+    return [
+        name
+        for name, turned in zip(names, sure, strict=True)
+        if turned and name in EFFECTS and EFFECTS[name] not in damping
+    ]
+
+
+def speed_ratio(log: Log, particulars: Particulars) -> float | None:
+    """Return the speed straight ahead over what the particulars say at that shaft speed.
+
+    At steady shaft speed, and straight ahead, thrust and drag grow with the square of both. So
+    speed over shaft speed is a number of the boat. None: the run shows too little of that.
+    """
+    fix = np.isfinite(log.z[:, :2]).all(axis=1)
+    heading = np.isfinite(log.z[:, _COMPASS])
+    if fix.sum() < 2 or heading.sum() < 2:
+        return None
+    step = 1.0
+    t = np.arange(log.t[0], log.t[-1], step)
+    x, y = (np.interp(t, log.t[fix], log.z[fix, k]) for k in (0, 1))
+    # of the run itself, as the stated speed may be that of another boat
+    far = np.hypot(x[4:] - x[:-4], y[4:] - y[:-4]) / (4.0 * step)
+    typical = float(np.quantile(far, 0.75)) if len(far) else 0.0
+    window = STRAIGHT_LENGTHS * particulars.length / max(typical * step, 1e-6)
+    window = round(min(max(window, 4), max(len(t) // 4, 4)))
+    if len(t) <= window:
+        return None
+    psi = np.interp(t, log.t[heading], np.unwrap(log.z[heading, _COMPASS]))
+    shaft = np.interp(t, log.t, log.cmd[:, :2].mean(axis=1))
+    way = np.hypot(x[window:] - x[:-window], y[window:] - y[:-window])
+    turned = np.abs(psi[window:] - psi[:-window])
+    mean = _averages(shaft, window)[: len(way)]
+    scatter = np.sqrt(np.maximum(_averages(shaft**2, window)[: len(way)] - mean**2, 0.0))
+    ahead = (mean > FAST_SHAFT * float(np.abs(shaft).max())) & (scatter < STEADY_SHAFT * mean)
+    ahead &= (mean > 0.0) & (turned * particulars.length < STRAIGHT_RATE * way)
+    if ahead.sum() * step < STRAIGHT_MIN_S:
+        return None
+    stated = mean[ahead] * particulars.speed / particulars.shaft_speed * window * step
+    return float(np.median(way[ahead] / stated))
+
+
+def _averages(values: Array, window: int) -> Array:
+    """Return the means of so many values that follow each other."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return np.asarray((total[window:] - total[:-window]) / window)
+
+
+def sensor_answer(
+    findings: Sequence[Finding], seconds_in: Mapping[tuple[str, str], float], span: float
+) -> Answer:
+    """Return which sensors and commands the check of the log doubts, and which the twin left out.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Of :func:`twin.integrity.log_check.check_log`.
+    seconds_in : mapping of (str, str) to float
+        How long the twin gave a sensor the status ``doubtful`` or ``excluded``, s.
+    span : float
+        Length of the run, s.
+    """
+    grades, parts = [], []
+    if said := [finding.what for finding in findings if finding.severity == ERROR]:
+        grades.append(BAD)
+        parts += [*said[:2], f"errors in the log: {len(said)}"]
+    if count := sum(finding.severity == WARNING for finding in findings):
+        grades.append(DOUBTFUL)
+        parts.append(f"warnings on the log: {count}")
+    for (sensor, status), seconds in seconds_in.items():
+        share = seconds / max(span, 1e-9)
+        if status == "excluded" and share >= EXCLUDED_BAD and sensor in NEEDED:
+            grades.append(BAD)
+        elif share >= (EXCLUDED_DOUBTFUL if status == "excluded" else DOUBTED_DOUBTFUL):
+            grades.append(DOUBTFUL)
+        parts.append(f"{sensor} {status} for {seconds:.0f} s, {share:.0%} of the run")
+    numbers = {
+        "findings": {f.code: f.severity for f in findings if f.severity in (ERROR, WARNING)},
+        "health_s": {" ".join(key): seconds for key, seconds in seconds_in.items()},
+    }
+    return Answer("sensors", _worst(grades), "; ".join(parts) or "none in doubt", numbers)
+
+
+def _worst(grades: Iterable[str]) -> str:
+    return max(grades, key=GRADES.index, default=OK)
+
+
+def _grade(is_ok: bool, is_doubtful: bool, seconds: float = math.inf) -> str:
+    """Return the grade of scores of forecasts over a time, s; few of them are never bad."""
+    return OK if is_ok else DOUBTFUL if is_doubtful or seconds < SCORED_MIN_S else BAD
+
+
+def _limit(grade: str, limit: str, seconds: float = math.inf) -> str:
+    """Return the end of a line that is not ok: what would be, and whether the log is too short."""
+    short = f"; over {seconds:.0f} s: too few to judge" if seconds < SCORED_MIN_S else ""
+    return "" if grade == OK else f"; {limit}{short}"
+
+
+def _coverage_bound(seconds: float) -> float:
+    """Return the share inside the claimed 90 % that is ok for forecasts over a time, s."""
+    # forecasts that overlap count as one
+    chance = CHANCE_SD * math.sqrt(CLAIMED * (1.0 - CLAIMED) / (1.0 + seconds / HORIZON_S))
+    return max(min(COVERAGE_OK, CLAIMED - chance), COVERAGE_DOUBTFUL)
 
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:

@@ -26,7 +26,6 @@ from twin.benchmark.protocol import (
     sea_settings,
     units,
 )
-from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import (
     CPUS,
     OPTIONS_EXAMPLE,
@@ -49,6 +48,7 @@ from twin.cli.common import (
     stopped,
     write_text,
 )
+from twin.cli.tables import print_results, print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
@@ -82,9 +82,9 @@ def benchmark_command(
         bool,
         typer.Option(
             "--faults-matrix",
-            help="Only sail every fault of sensors and commands that the twin knows, and print how "
-            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-7] restrict it; --vessel, "
-            "--hs, --wind and one of --scenarios say what sails.",
+            help="Only sail the faults of sensors, commands and thrusters that a twin must bear, "
+            "with GPS at 20, 5 and 1 Hz and without, and print how ukf does. --predictors and "
+            "--seeds [0-3] say what else.",
         ),
     ] = False,
     scenarios: Annotated[
@@ -202,12 +202,8 @@ def benchmark_command(
         _check(check)
         return
     if faults_matrix:
-        given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
-        sea = sea_settings(hs, wind, wind_from)
-        trial = {"vessel": vessel, "hs": sea["hs"], "wind": sea["wind"]}
-        if scenarios is not None:
-            trial["manoeuvre"] = scenarios
-        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), trial, out, jobs)
+        given = "ukf" if predictors == ",".join(PREDICTORS) else predictors
+        _matrix(parse_predictors(given), parse_seeds(seeds or "0-3"), out, jobs)
         return
     check_backend(backend)
     asked = parse_predictors(predictors)
@@ -258,10 +254,9 @@ def benchmark_command(
         errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _run_all(settings, out, jobs, backend, fresh)
-    not_scored = tuple(
-        f"not scored: {reason if run in reason else f'{run}: {reason}'}"
-        for run, reason in {**missing, **failed}.items()
-    )
+    reasons = [*missing.items(), *((unit.log or unit.run, why) for unit, why in failed.items())]
+    said = (why if run in why else f"{run}: {why}" for run, why in reasons)
+    not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = runner.collect(settings, done, command, notes + not_scored, against)
     _write_tables(results, latex, csv)
@@ -269,13 +264,13 @@ def benchmark_command(
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
-    print_verdict({**results, "notes": []})  # they were printed before the runs
+    print_scores({**results, "notes": []})  # they were printed before the runs
     if verbose:
         print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
-    if len(done) + sum(failed.counts.values()) < len(work):
+    if len(done) + len(failed) < len(work):
         kept = sum(runner.result_file(out, unit).exists() for unit in work)
         raise stopped(
             f"{kept} of {len(work)} results are kept in {out}; the same command goes on from there"
@@ -322,7 +317,7 @@ def _find_logs(logs: list[Path]) -> tuple[tuple[str, ...], dict[str, str]]:
     for given in logs:
         try:
             found += match_files(given)
-        except LogError as error:  # noqa: PERF203
+        except LogError as error:
             missing[str(given)] = str(error)
     if missing and not found:
         raise LogError("; ".join(missing.values()))
@@ -355,55 +350,32 @@ def _check(name: str) -> None:
     )
 
 
-def _matrix(
-    predictors: Sequence[str], seeds: Sequence[int], trial: dict[str, Any], out: Path, jobs: int
-) -> None:
-    """Sail the fault matrix, and print and write its table."""
-    from twin.benchmark.fault_matrix import MATRIX_FAULTS, Trial, fault_runs, matrix_table
-
-    given = Trial(**trial)
-    Vessel.load(given.vessel)
+def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: int) -> None:
+    """Sail the fault matrix, and print and write its tables."""
+    from twin.benchmark.fault_matrix import fault_runs, matrix_units, tables
 
     out.mkdir(parents=True, exist_ok=True)
-    file, results = out / "fault_matrix.json", []
-    with progress_bar() as bar:
-        task = bar.add_task("fault matrix", total=None)
+    file, units, results = out / "fault_matrix.json", matrix_units(predictors, seeds), []
+    with progress_bar(TimeRemainingColumn()) as bar:
+        task = bar.add_task("fault matrix", total=len(units))
         try:
-            runs = fault_runs(predictors, MATRIX_FAULTS, seeds, file, trial=given, jobs=jobs)
-            for done, total, found in runs:
+            for done, found in fault_runs(units, file, jobs=jobs):
                 results = found
-                bar.update(task, completed=done, total=total)
+                bar.update(task, completed=done)
         except KeyboardInterrupt:
-            raise stopped(
-                f"stopped: {file} has what is finished; the same command goes on"
-            ) from None
-    table = "\n".join(matrix_table(results)) + "\n"
-    write_text(out / "fault_matrix.md", table)
-    print(table, end="")
+            raise stopped(f"{file} has what is finished; the same command goes on") from None
+    text = "\n".join(tables(results))
+    write_text(out / "fault_matrix.md", text)
+    print(text, end="")
     note(f"{file}, {out / 'fault_matrix.md'}")
-
-
-class _Failures(dict[str, str]):
-    """Reasons for missing results, by run or file; ``counts`` says of how many predictors."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.counts: dict[str, int] = {}
-
-    def add(self, unit: Unit, error: Exception) -> None:
-        """Keep a reason; the same one of several predictors on a run counts once."""
-        where = unit.log or unit.run
-        key = where if self.get(where, str(error)) == str(error) else f"{where} {unit.predictor}"
-        self[key] = str(error)
-        self.counts[key] = self.counts.get(key, 0) + 1
 
 
 def _run_all(
     settings: Settings, out: Path, jobs: int, backend: str, fresh: bool
-) -> tuple[dict[Unit, dict[str, Any]], _Failures]:
-    """Do all work under a progress bar; Ctrl-C ends it early."""
+) -> tuple[dict[Unit, dict[str, Any]], dict[Unit, str]]:
+    """Do all work under a progress bar, and return results and errors; Ctrl-C ends it early."""
     done: dict[Unit, dict[str, Any]] = {}
-    failed = _Failures()
+    failed: dict[Unit, str] = {}
     with contextlib.suppress(KeyboardInterrupt):
         work = units(settings)
         reused = {} if fresh else runner.reusable(settings, out)
@@ -419,7 +391,7 @@ def _run_all(
             bar = progress.add_task("benchmark", total=len(work))
             for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):
-                    failed.add(unit, result)
+                    failed[unit] = str(result)
                 else:
                     done[unit] = result
                 progress.advance(bar)

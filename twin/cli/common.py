@@ -1,4 +1,4 @@
-"""What the commands share: consoles, options, logs and twins, tables and files."""
+"""What the commands share: consoles, errors, options and files."""
 
 from __future__ import annotations
 
@@ -12,36 +12,28 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 
-from twin.digital_twin import Twin, TwinError
+from twin.digital_twin import Twin
 from twin.logs.bag_writer import BAG_SUFFIX, check_bag
 from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.model.structure import MODELS
-from twin.motion import SeaEstimate
 from twin.parallel import BACKENDS
 from twin.predictors.named_options import split_names
-from twin.predictors.own_prior import prior_note
-from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
-from twin.sim.oracle import check_simulator
-from twin.sim.recorded import particulars_for_log
+from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.schedule import SCHEDULE_HELP
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES
 from usv_kernel.cache import cached
-from usv_kernel.errors import UsvTwinError, did_you_mean
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import write_whole
-
-HEALTH_LINES = 12
-"""So many lines on sensors are printed at most."""
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -186,78 +178,7 @@ BackendOption = Annotated[
 
 CPUS = os.cpu_count() or 1
 
-STATE_HEADS = ("north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
 
-STATE_SCALE = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
-"""From SI units to those of :data:`STATE_HEADS`."""
-
-MOTION_HEADS = ("roll deg", "pitch deg", "heave m", "down m/s")
-
-MOTION_SCALE = np.array([180.0 / math.pi, 180.0 / math.pi, 1.0, 1.0])
-"""From SI units to those of :data:`MOTION_HEADS`; the last is the vertical speed of the deck."""
-
-
-# logs and twins
-def open_log(
-    path: Path,
-    predictor: str | None,
-    *,
-    ship: str | None = None,
-    until: float | None = None,
-    resume: Path | None = None,
-    model: str | None = None,
-    mapping: Path | None = None,
-) -> tuple[Log, Twin]:
-    """Read a log, print what is missing in it, and make a twin for it or load one."""
-    name = predictor or DEFAULT
-    predictor_class(name)
-    if model is not None and model not in MODELS:
-        raise OptionError(
-            f"--model {model}{did_you_mean(model, MODELS)}: use one of {', '.join(MODELS)}"
-        )
-    log = Log.read(path, mapping)
-    if resume is not None:
-        twin = _load_twin(resume, predictor, ship, model)
-    else:
-        particulars = particulars_for_log(path, ship, mapping)
-        check_simulator(name, log, particulars)
-        twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
-    for line in log.notes:
-        note(line)
-    if unused := prior_note(twin.predictor, str(twin.name)):
-        note(unused)
-    log = log.without_truth()
-    twin.locate(log.datum)
-    if until is not None:
-        if not math.isfinite(until):
-            raise TwinError(f"--until {until}: must be a finite time in s")
-        log = log.slice(-math.inf, math.nextafter(until, math.inf))
-        if len(log) == 0:
-            raise TwinError(f"--until {until:g}: the log has no row before it")
-    console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
-    if resume is not None and not math.isnan(twin.t):
-        log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
-        if len(log) == 0:
-            raise TwinError(
-                f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
-                "give the log that continues from there"
-            )
-    return log, twin
-
-
-def _load_twin(path: Path, predictor: str | None, ship: str | None, model: str | None) -> Twin:
-    """Load a saved twin, and refuse options that would contradict it."""
-    twin = Twin.load(path)
-    if predictor is not None and predictor != twin.name:
-        raise TwinError(f"--predictor {predictor}: {path} goes on with {twin.name}; leave it out")
-    if model is not None:
-        raise TwinError(f"--model {model}: {path} keeps its own; leave it out")
-    if ship is not None:
-        raise TwinError(f"--ship {ship}: {path} knows its boat; leave it out")
-    return twin
-
-
-# what is printed
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
@@ -267,28 +188,6 @@ def note_capsizing(vessel: Vessel, sea: SeaState, dof: int) -> None:
     """Print it where a vessel will capsize in a sea."""
     if (found := warning_of(vessel, sea, dof)) is not None:
         note(found)
-
-
-def print_sea(sea: SeaEstimate | None) -> None:
-    """Print what a twin makes of the waves, once it knows."""
-    if sea is not None and sea.known:
-        to, sd = math.degrees(sea.to) % 360.0, math.degrees(sea.to_sd)
-        going = f"to {to:.0f} deg (sd {sd:.0f})" if sea.direction_known else "in no clear direction"
-        console.print(
-            f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
-            f"waves going {going}",
-            highlight=False,
-            soft_wrap=True,
-        )
-
-
-def print_health(twin: Twin) -> None:
-    """Print when which sensor was not ok, and why."""
-    lines = twin.notes
-    for line in lines[:HEALTH_LINES]:
-        note(line)
-    if len(lines) > HEALTH_LINES:
-        note(f"and {len(lines) - HEALTH_LINES} more times that a sensor was not ok")
 
 
 def explain(text: str) -> None:
@@ -343,25 +242,11 @@ class row_progress:
         self._progress.stop()
 
 
-def three_digits(value: float) -> str:
-    """Return a positive number with three digits; at most three of them are decimals."""
-    return f"{value:.{min(max(2 - math.floor(math.log10(value)), 0), 3)}f}"
-
-
-def short(value: float, digits: int) -> str:
-    """Return a number with so many decimals below 10, and fewer above."""
-    for bound, fewer in ((10.0, 0), (100.0, 1)):
-        if abs(value) < bound:
-            return f"{value:.{digits - fewer}f}"
-    return f"{value:.0f}"
-
-
 def radians(degrees: float | None) -> float | None:
     """Return an angle in rad, or None."""
     return None if degrees is None else math.radians(degrees)
 
 
-# files
 def check_out(path: Path, log: Log, twin: Twin) -> None:
     """Refuse a file of estimates or forecasts that could not be written."""
     if path.suffix == BAG_SUFFIX:
@@ -380,7 +265,6 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, text.encode())
 
 
-# options
 def parse_list(text: str, option: str) -> tuple[str, ...]:
     """Return the items of a comma-separated option, each once."""
     items = tuple(dict.fromkeys(item.strip() for item in text.split(",") if item.strip()))

@@ -1,68 +1,45 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train, view."""
+"""The command line ``usv-twin``."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import typer
 
-from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
-from twin.cli.common import report_user_errors
+from twin.cli.check import check_command
+from twin.cli.common import errors, report_user_errors
 from twin.cli.evaluate import evaluate_command
-from twin.cli.interfaces.link import link_command
-from twin.cli.interfaces.sitl import sitl_command
-from twin.cli.logs.check import log_check_command
-from twin.cli.logs.identify import identify_command
-from twin.cli.logs.judge import verdict_command
-from twin.cli.logs.mapping import mapping_new_command
-from twin.cli.logs.predict import predict_command
-from twin.cli.logs.replay import replay_command
+from twin.cli.identify import identify_command
+from twin.cli.link import link_command
+from twin.cli.mapping import mapping_command
+from twin.cli.predict import predict_command
 from twin.cli.simulate import simulate_command
+from twin.cli.sitl import sitl_command
 from twin.cli.train import train_command
 from twin.cli.vessel import vessel_check_command, vessel_new_command
 from twin.cli.view import view_command
 
 __all__ = [
+    "COMMANDS",
+    "MOVED",
     "app",
     "main",
 ]
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="A digital twin of an unmanned surface vessel. Simulate it, identify it from a log, "
-    "and predict where it will be. Benchmark predictors under GPS loss, and validate ship and "
-    "sea. Train and evaluate agents that steer, and view boat and twin in the browser.",
-)
-
-log_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Check a log before it is used."
-)
-
-mapping_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Propose a mapping file for a log."
-)
-
-vessel_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
-)
-
 COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate_command,
+    "mapping": mapping_command,
+    "check": check_command,
     "identify": identify_command,
-    "judge": verdict_command,
     "predict": predict_command,
     "benchmark": benchmark_command,
     "train": train_command,
     "evaluate": evaluate_command,
     "view": view_command,
-    "replay": replay_command,
-    "sitl": sitl_command,
     "link": link_command,
-    "bench": bench_command,
+    "sitl": sitl_command,
 }
 """Commands by name, in the order of the help page."""
 
@@ -71,24 +48,48 @@ VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
     "new": vessel_new_command,
 }
 
-LOG_COMMANDS: dict[str, Callable[..., None]] = {"check": log_check_command}
+MOVED = {
+    "log": "usv-twin check LOG",
+    "judge": "usv-twin check LOG",
+    "mapping new": "usv-twin mapping LOG",
+    "replay": "examples/replay.py",
+    "study": "examples/agent_study/run.py",
+    "paper": "examples/paper/run.py",
+    "validate": "examples/validation/",
+    "bench": "examples/speed/",
+    "soak": "the tests marked slow",
+    "fmu": "examples/fmu/",
+    "vessel mesh": "examples/hydrodynamics/",
+    "vessel hydro": "examples/hydrodynamics/",
+}
+"""What a former command is called now, or where its work is done."""
 
-MAPPING_COMMANDS: dict[str, Callable[..., None]] = {"new": mapping_new_command}
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="A digital twin of an unmanned surface vessel. Check a log, identify the boat from it, "
+    "and predict where it will be. Simulate boats, benchmark predictors under GPS loss, train and "
+    "evaluate agents that steer, and view boat and twin in the browser.",
+)
 
-for group, commands in (
-    (app, COMMANDS),
-    (log_app, LOG_COMMANDS),
-    (mapping_app, MAPPING_COMMANDS),
-    (vessel_app, VESSEL_COMMANDS),
-):
+vessel_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Check or begin a boat.")
+
+for group, commands in ((app, COMMANDS), (vessel_app, VESSEL_COMMANDS)):
     for name, command in commands.items():
         group.command(name)(report_user_errors(command))
-app.add_typer(log_app, name="log")
-app.add_typer(mapping_app, name="mapping")
 app.add_typer(vessel_app, name="vessel")
 
 
-def expand_files(arguments: list[str], option: str = "--log") -> list[str]:
+def moved(arguments: Sequence[str]) -> str:
+    """Return what stands for a former command that the arguments name; empty if they name none."""
+    for former in (" ".join(arguments[:2]), *arguments[:1]):
+        if former in MOVED:
+            return f"usv-twin {former} is now {MOVED[former]}"
+    return ""
+
+
+def expand_files(arguments: Sequence[str], option: str = "--log") -> list[str]:
     """Let one option take several files: ``--log a b`` becomes ``--log a --log b``."""
     expanded: list[str] = []
     inside = False
@@ -106,4 +107,8 @@ def expand_files(arguments: list[str], option: str = "--log") -> list[str]:
 
 def main() -> None:
     """Run the command line."""
-    app(args=expand_files(sys.argv[1:]), prog_name="usv-twin")
+    arguments = sys.argv[1:]
+    if text := moved(arguments):
+        errors.print(f"error: {text}", style="red", highlight=False, soft_wrap=True)
+        sys.exit(2)
+    app(args=expand_files(arguments), prog_name="usv-twin")

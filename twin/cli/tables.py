@@ -3,17 +3,542 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from twin.agents.evaluation import mean_scores
 from twin.agents.training import Plan, Run
-from twin.cli.common import console, new_table
+from twin.benchmark.motion_scores import median_scores, shown_motion
+from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
+from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
+from twin.boat_prior import BoatPrior
+from twin.cli.common import console, explain, new_table, note
+from twin.digital_twin import Twin
+from twin.identification.identifiability import Finding, Identifiability
+from twin.integrity.findings import ERROR, NOTE, SEVERITIES, WARNING
+from twin.integrity.log_check import LogCheck
+from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
+from twin.predictors.base import Z90, Estimate, Prediction
 
-__all__ = ["print_episodes", "print_forecasts", "print_trainings"]
+__all__ = [
+    "print_check",
+    "print_episodes",
+    "print_estimate",
+    "print_forecasts",
+    "print_health",
+    "print_prediction",
+    "print_prior",
+    "print_results",
+    "print_scores",
+    "print_trainings",
+    "print_verdict",
+]
+
+STATE_HEADS = ("north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
+
+STATE_SCALE = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
+"""From SI units to those of :data:`STATE_HEADS`."""
+
+MOTION_HEADS = ("roll deg", "pitch deg", "heave m", "down m/s")
+
+MOTION_SCALE = np.array([180.0 / math.pi, 180.0 / math.pi, 1.0, 1.0])
+"""From SI units to those of :data:`MOTION_HEADS`; the last is the vertical speed of the deck."""
+
+SHOWN_AFTER_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+"""Times of a prediction that a table shows, and its end."""
+
+HEALTH_LINES = 12
+"""So many lines on sensors are printed at most."""
+
+RATIO_ABOVE_ONE = 1.005
+"""Ratios of standard deviations from which on a table shows more than 1.00."""
+
+STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim", BAD: "red", DOUBTFUL: "yellow", OK: "green"}
+
+Row = Mapping[str, Any]
+
+SUMMARY_NAMES = ("scenario", "case", "plan", "predictor")
+"""What tells the lines of a summary apart."""
+
+LEGEND = {
+    r"[XYN]_": ("X, Y, N", "terms of the acceleration forward, to starboard, in yaw"),
+    r"[XYN]_[uvr|]+$": ("u, v, r", "surge speed, sway speed, yaw rate, and products of them"),
+    r"E_": ("E", "slow acceleration to north and to east, of wind and current"),
+    r"[XYN]_nn$": ("nn", "thrust at rest: mean n|n| of the shafts, n the shaft speed"),
+    r"[XYN]_nu$": ("nu", "change of thrust with speed: mean |n| u of the shafts"),
+    r"T_": ("T_uL, T_uR ...", "thrust n|n| of the left, right shaft in surge, sway, yaw"),
+    r"[XN]_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
+    r"N_mn$": ("mn", "turning by the mean thrust: the thrusters are unequal"),
+    r"[XYN]_F$": ("F", "drag and lift of rudders or drives in the flow at the stern"),
+    r"[XYN]_S$": ("S", "force of flow from the side on rudders or drives"),
+    r"[XYN]_w$": ("w", "apparent wind, its speed squared"),
+    r"N_0$": ("0", "constant yaw acceleration"),
+    r"N_(cos|sin)$": ("cos, sin", "yaw acceleration that turns with the heading"),
+    r"N_(cos|sin)2$": ("cos2, sin2", "the same, with twice the heading"),
+}
+"""What names of parameters mean: pattern, what is printed for it, and its meaning."""
+
+
+def short(value: float | None, digits: int) -> str:
+    """Return a number with so many decimals below 10, and fewer above; a dash for none."""
+    if value is None:
+        return "-"
+    for bound, fewer in ((10.0, 0), (100.0, 1)):
+        if abs(value) < bound:
+            return f"{value:.{digits - fewer}f}"
+    return f"{value:.0f}"
+
+
+def _print_rows(
+    title: str,
+    rows: Sequence[Row],
+    columns: Mapping[str, Callable[[Any], str]],
+    left: Sequence[str] = (),
+) -> None:
+    """Print a table with a line for each row; ``columns`` has the text of a row by heading."""
+    table = new_table(title, *columns, left=left)
+    for row in rows:
+        table.add_row(*(text(row) for text in columns.values()))
+    console.print(table)
+
+
+def _plain(text: str, style: str | None = None) -> None:
+    """Print a line as it is."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
+
+
+# what twin and log say
+def print_health(twin: Twin) -> None:
+    """Print when which sensor was not ok, and why."""
+    _print_notes(twin.notes)
+
+
+def _print_notes(lines: Sequence[str]) -> None:
+    for line in lines[:HEALTH_LINES]:
+        note(line)
+    if len(lines) > HEALTH_LINES:
+        note(f"and {len(lines) - HEALTH_LINES} more times that a sensor was not ok")
+
+
+def print_check(check: LogCheck) -> None:
+    """Print what was measured in a log, and the findings."""
+    for line in check.notes:
+        note(line)
+    recording = check.recording
+    if len(recording.t) > 1:
+        span = recording.t[-1] - recording.t[0]
+        _print_rows(
+            f"{recording.name}: {len(recording.stamps)} rows, {span:.1f} s",
+            check.sensors,  # type: ignore[arg-type]
+            {
+                "sensor": lambda s: s.name,
+                "samples/s": lambda s: f"{s.rate_hz:.3g}" if s.rate_hz else "none",
+                "noise": lambda s: f"{s.noise:.2g}" if math.isfinite(s.noise) else "",
+                "unit": lambda s: s.unit,
+            },
+            left=("sensor", "unit"),
+        )
+    for line in check.agreement:
+        _plain(line)
+    for finding in check.findings:
+        _plain(f"{finding.severity}: {finding.text}", STYLES[finding.severity])
+    _plain(", ".join(f"{check.count(severity)} {severity}(s)" for severity in SEVERITIES))
+
+
+def print_verdict(verdict: Verdict) -> None:
+    """Print whether a twin may be trusted."""
+    _print_notes(verdict.notes)
+    console.print()
+    title = f"twin of {verdict.boat} by {verdict.predictor}: {verdict.grade}"
+    _plain(title, STYLES[verdict.grade])
+    for answer in verdict.answers:
+        _plain(f"{answer.grade:<9}{answer.about:<12} {answer.text}", STYLES[answer.grade])
+
+
+# identify
+def print_estimate(prior: Estimate, last: Estimate, twin: Twin, log: str) -> None:
+    """Print the state and the parameters at the end of a log.
+
+    Parameters
+    ----------
+    prior, last : Estimate
+        Before the first row, and at the end.
+    twin : Twin
+        After the last row.
+    log : str
+        Its name.
+    """
+    title = f"{log}: state at t = {last.t:.2f} s by {twin.name}"
+    state = last.state.copy()
+    state[2] %= 2.0 * math.pi
+    _print_mean_and_sd(title, STATE_HEADS, state * STATE_SCALE, last.sd * STATE_SCALE)
+    if (motion := last.motion) is not None:
+        title = "roll, pitch, heave, vertical speed of the deck"
+        mean, sd = motion.mean * MOTION_SCALE, motion.sd * MOTION_SCALE
+        _print_mean_and_sd(title, MOTION_HEADS, mean, sd)
+    _print_sea(twin.sea)
+    if not len(last.params):
+        console.print(f"{twin.name} has no model, and so identifies no parameters.")
+        return
+    _print_parameters(prior, last, twin)
+
+
+def _print_mean_and_sd(title: str, heads: Sequence[str], mean: Any, sd: Any) -> None:
+    table = new_table(title, "", *heads, padding=(0, 1))
+    for name, values in (("value", mean), ("sd", sd)):
+        table.add_row(name, *(f"{v:.3f}" for v in values))
+    console.print(table)
+
+
+def _print_sea(sea: SeaEstimate | None) -> None:
+    """Print what a twin makes of the waves, once it knows."""
+    if sea is not None and sea.known:
+        to, sd = math.degrees(sea.to) % 360.0, math.degrees(sea.to_sd)
+        going = f"to {to:.0f} deg (sd {sd:.0f})" if sea.direction_known else "in no clear direction"
+        _plain(
+            f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
+            f"waves going {going}"
+        )
+
+
+def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
+    in_use, seen = twin.predictor.parameters_in_use(), twin.predictor.identifiability()
+    title = "parameters (mean and standard deviation)"
+    title += "" if in_use is None else f"; in use: {in_use.name}"
+    heads = ("", "unit", "prior", "sd", "now", "sd", "ratio", "source")
+    table = new_table(title, *heads, left=("", "unit", "source"))
+    found = {} if seen is None else {item.name: item for item in seen.parameters}
+    ratios = []
+    for i, name in enumerate(twin.predictor.parameter_names):
+        ratio = last.params_sd[i] / prior.params_sd[i] if prior.params_sd[i] > 0 else math.nan
+        numbers = (prior.params[i], prior.params_sd[i], last.params[i], last.params_sd[i])
+        ratios.append(ratio)
+        source = _source(found[name]) if name in found else ""
+        unit = twin.predictor.parameter_units[i]
+        table.add_row(name, unit, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
+    console.print(table)
+    if getattr(twin.predictor, "ukf", None) is not None:  # else they have names of their own
+        _print_legend(twin.predictor.parameter_names)
+    explain(
+        "ratio: sd over that of the prior. source data: it fell to 0.71 or below, and the "
+        "parameter's own regressor was excited. source sum: its regressor was collinear with "
+        "another (cosine above 0.999), so that the data determine only their sum, given below."
+    )
+    if in_use is not None and in_use.is_prior:
+        explain("The prior is in use: the values are not from the data, only the sd of a refit.")
+    if any(ratio > RATIO_ABOVE_ONE for ratio in ratios):
+        explain(
+            "ratio above 1: the parameter is less certain than at the start. The filter lets it "
+            "drift, or a change of the boat was found, and the data do not confine it since."
+        )
+    if seen is not None:
+        _print_identifiability(seen)
+
+
+def _print_legend(names: Sequence[str]) -> None:
+    """Print what the names of a model's parameters mean, as far as they occur."""
+    table = new_table("what the names mean", "", "", left=("",), show_header=False)
+    table.columns[-1].no_wrap = False
+    for pattern, (name, meaning) in LEGEND.items():
+        if any(re.match(pattern, one) for one in names):
+            table.add_row(name, meaning)
+    console.print(table)
+    explain(
+        "N_v|v| times v|v| is a yaw acceleration. See docs/explanation/twin.md, Model structure."
+    )
+
+
+def _source(finding: Finding) -> str:
+    """Return what determines a parameter."""
+    if finding.merged_into:
+        return "sum"
+    return "data" if finding.informed else "prior"
+
+
+def _print_identifiability(seen: Identifiability) -> None:
+    """Print the sums of collinear parameters, and the rank of the sub-models."""
+    if seen.sums:
+        _print_rows(
+            "sums of collinear parameters",
+            seen.sums,  # type: ignore[arg-type]
+            {
+                "": lambda item: item.name,
+                "prior sd": lambda item: f"{item.prior_sd:.3g}",
+                "sd": lambda item: f"{item.sd:.3g}",
+                "ratio": lambda item: f"{item.ratio:.2f}",
+                "source": _source,
+            },
+            left=("", "source"),
+        )
+    _print_rows(
+        f"identifiability on {seen.seconds:.0f} s of data",
+        seen.submodels,  # type: ignore[arg-type]
+        {
+            "sub-model": lambda model: model.name,
+            "parameters": lambda model: str(len(model.parameters)),
+            "effective rank": lambda model: f"{model.effective_rank:.1f}",
+            "condition number": lambda model: model.condition,
+        },
+        left=("sub-model",),
+    )
+    explain(
+        "effective rank: directions determined by the data and not by the prior. condition "
+        "number: of the regressors in prior standard deviations."
+    )
+    for model in seen.submodels:
+        if model.not_shown:
+            shown = "; ".join(model.not_shown)
+            explain(f"{model.name}: the run did not show {shown}; there the prior stays.")
+
+
+def print_prior(prior: BoatPrior, twin: Twin) -> None:
+    """Print what runs say together of a boat, beside the population.
+
+    Parameters
+    ----------
+    prior : BoatPrior
+        Of the runs.
+    twin : Twin
+        Before the first row, without a prior of its own.
+    """
+    before, names = twin.estimate(), list(twin.predictor.parameter_names)
+    heads = ("", "unit", "population", "sd", "this boat", "sd", "ratio")
+    title = f"{prior.boat}, from {prior.runs} run(s), model {prior.model}"
+    table = new_table(title, *heads, left=("", "unit"))
+    for k, name in enumerate(prior.parameters):
+        at, sd = names.index(name), math.sqrt(prior.covariance[k][k])
+        old = before.params_sd[at]
+        numbers = (before.params[at], old, prior.mean[k], sd)
+        unit = twin.predictor.parameter_units[at]
+        table.add_row(name, unit, *(f"{value:.3g}" for value in numbers), f"{sd / old:.2f}")
+    console.print(table)
+
+
+# predict
+def print_prediction(prediction: Prediction, title: str, sea: SeaEstimate | None) -> None:
+    """Print a prediction, and where the log shows them roll, pitch and heave."""
+    span = float(prediction.t[-1] - prediction.t0)
+    horizons = [h for h in SHOWN_AFTER_S if h < span - 1e-6] + [span]
+    mean = prediction.at(np.array(horizons))[0]
+    low, high = prediction.interval(np.array(horizons))
+    up, down = high - mean, mean - low
+    mean[:, 2] %= 2.0 * math.pi
+    title += " (below each value how far its 90 % interval reaches up and down)"
+    table = new_table(title, "after s", *STATE_HEADS)
+    parts = (part * STATE_SCALE for part in (mean, up, down))
+    for horizon, *rows in zip(horizons, *parts, strict=True):
+        # one below the other: side by side they do not fit into 80 columns
+        cells = (f"{m:.2f}\n+{u:.2f}\n-{d:.2f}" for m, u, d in zip(*rows, strict=True))
+        table.add_row(f"{horizon:g}", *cells)
+    console.print(table)
+    if prediction.motion is not None:
+        _print_motion(prediction.motion)
+        _print_sea(sea)
+
+
+def _print_motion(motion: MotionForecast) -> None:
+    after = [0.0, 1.0, 2.0, 3.0, 5.0, float(motion.t[-1] - motion.t0)]
+    mean, sd = motion.at(after)
+    title = (
+        "roll, pitch and heave (each with half of its 90 % interval; vertical speed at the deck)"
+    )
+    table = new_table(title, "after s", *MOTION_HEADS)
+    for time, *rows in zip(after, mean * MOTION_SCALE, Z90 * sd * MOTION_SCALE, strict=True):
+        table.add_row(f"{time:g}", *(f"{m:.2f} +-{s:.2f}" for m, s in zip(*rows, strict=True)))
+    console.print(table)
+    chances = zip(QUIET_SPANS, motion.quiet, strict=True)
+    if motion.ready:
+        shown = ", ".join(f"{span:g} s {chance:.0%}" for span, chance in chances)
+        _plain(f"quiet deck for the next: {shown}")
+    else:
+        note(
+            "the forecast of roll, pitch and heave is still learning: it says little yet, and "
+            "the odds of a quiet deck are not known"
+        )
+
+
+# benchmark
+def print_scores(results: dict[str, Any]) -> None:
+    """Print the verdict on simulated runs, that on recorded ones, and the notes.
+
+    ``results`` is the content of ``results.json``.
+    """
+    if results["verdict"]:
+        _print_simulated(results["verdict"])
+    _print_recorded_verdict(results)
+    for name, log in results.get("logs", {}).items():
+        parts = []
+        if log["repairs"]:
+            parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")
+        if log["skipped"]:
+            parts.append(f"{log['skipped']} prediction(s) not scored, in gaps")
+        if log.get("left_out"):
+            parts.append(
+                f"{log['left_out']} prediction(s) not scored, past the last recorded command at "
+                f"t = {log['end_s']:.1f} s"
+            )
+        if parts:
+            note(f"{name}: {', '.join(parts)}")
+    for line in results["notes"]:
+        note(line)
+
+
+def _print_simulated(rows: Sequence[Row]) -> None:
+    """Print one sentence, and a line for each predictor."""
+    console.print(sentence_of(rows), highlight=False, soft_wrap=True)
+    blocks: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        blocks.setdefault(row["predictor"], {})[row["loss"]] = row
+    losses = [loss for loss in ("none", "any") if any(loss in block for block in blocks.values())]
+    lost = {case for row in rows if row["loss"] == "any" for case in row["cases"]}
+    named = {"none": "no loss", "any": lost.pop() if len(lost) == 1 else "loss"}
+    heads = [
+        f"{head}\n{named[loss]}"
+        for head in ("position\nm", "heading\ndeg", "ratio to\npersist.")
+        for loss in losses
+    ]
+    runs = next(row["runs"] for row in rows if row["loss"] == "all")
+    title = f"Mean error after 10 s, {runs} run{'s' * (runs > 1)}, best first"
+    table = _predictor_table(title, *heads, "\n\nMAE", "\n\nMSE", padding=0)
+    for name, block in blocks.items():
+        if name == ORACLE:
+            table.add_section()
+        texts = [
+            short(block.get(loss, {}).get(key), digits)
+            for key, digits in (("position_m", 2), ("heading_deg", 2), ("ratio", 3))
+            for loss in losses
+        ]
+        table.add_row(name, *texts, short(block["all"]["mae"], 3), short(block["all"]["mse"], 3))
+    console.print(table)
+    explain(
+        "Mean absolute errors, mean over scenarios and boats. Ratio: that of position and that of "
+        "heading, mean of both. MAE and MSE as in the paper's Table 4: pooled over "
+        "u, v, r, position and heading at 1, 2, 5 and 10 s, units mixed."
+        + (" oracle is the true ship in the mean wind, no predictor." if ORACLE in blocks else "")
+    )
+
+
+def _predictor_table(title: str, *heads: str, **style: Any) -> Table:
+    """Return a table with a line for each predictor."""
+    return new_table(title, "predictor", *heads, left=("predictor",), **style)
+
+
+def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
+    """Print errors of recorded runs in metres and degrees, and over persistence of two kinds."""
+    blocks = recorded_blocks(results)
+    for title, block in blocks.items():
+        ends = any(line["loss"] for line in block.values())
+        ratio = ("ratio to\npersist.\ntwin", "\n\nlog")
+        heads = ["position\n\nm", *ratio, "heading\n\ndeg", *ratio]
+        heads += ["end of\nloss: m\noff", "\n\nclaimed"] * ends
+        table = _predictor_table(title, *heads)
+        for name in best_first(block):
+            texts = []
+            for channel in ("displacement", "psi"):
+                row = block[name][channel]
+                texts.append(short(row["error"], 3 if channel == "displacement" else 2))
+                texts += [short(row.get(key), 2) for key in ("ratio", "ratio_recorded")]
+            if ends:
+                loss = block[name]["loss"]
+                texts += [short(loss.get(key), 2) for key in ("error_m", "said_m")]
+            table.add_row(name, *texts)
+        console.print(table)
+    if blocks:
+        explain(
+            "Root mean square errors after 10 s, mean over runs, best first. Ratio to persistence, "
+            "which holds u, v and r. Column twin: those of the twin's own navigation, mean of the "
+            "ratios of runs. Column log: those in the log, ratio of the mean errors."
+            " End of loss: error of the estimated position, m, and the radius that is claimed to "
+            "hold 90 %; medians."
+        )
+
+
+def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
+    """Print all tables of ``results.json``.
+
+    Parameters
+    ----------
+    results : dict
+        Content of ``results.json``.
+    missing : sequence of str
+        Predictors that could not run here.
+    """
+    lines: dict[tuple[str, ...], dict[str, Any]] = {}
+    for item in results["summary"]:
+        case = item.get("case", item["fault"])
+        key = (item["scenario"], case, item["plan"], item["predictor"])
+        row = lines.setdefault(key, dict(zip(SUMMARY_NAMES, key, strict=True)))
+        row[item["metric"]] = item["value"]
+        if item["metric"] == "mae" and item["low"] is not None:
+            row["MAE 95 %"] = f"{short(item['low'], 2)}..{short(item['high'], 2)}"
+    for scenario, case, plan in dict.fromkeys(key[:3] for key in lines):
+        block = [row for key, row in lines.items() if key[:3] == (scenario, case, plan)]
+        block += [{"predictor": name, "MAE 95 %": "left out"} for name in missing]
+        shown = [{k: v for k, v in row.items() if k not in SUMMARY_NAMES[:3]} for row in block]
+        print_rows(f"{scenario}, case {case}, plan {plan}", shown)
+    explain(
+        "Metrics as in the docstring of twin.benchmark.metrics: mae and mse pooled over u, v, r, "
+        "position and heading at 1, 2, 5 and 10 s, units mixed, as in the paper's Table 4; crps: "
+        "the same of the whole distribution; normalised and skill: means over channels and "
+        "horizons; J: mae over that of the oracle, E = J - 1; start_error: m; coverage90: share "
+        "inside the 90 % intervals."
+    )
+    print_rows("change of the MAE against a reference on the same seeds", results.get("paired"))
+    print_rows("recorded runs: RMSE after 10 s", results.get("recorded"))
+    print_rows("position at the end of a loss of GPS, m", results.get("losses"))
+    scores = shown_motion(results)
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for score in scores["motion"]:
+        key = tuple(score[name] for name in ("scenario", "plan", "channel", "horizon_s"))
+        groups.setdefault(key, []).append(score)
+    print_rows(
+        "forecasts of roll, pitch and heave, medians over seeds, SI units",
+        [
+            {"scenario": scenario, "plan": plan, "channel": channel, "after s": horizon}
+            | median_scores(rows, horizon)
+            for (scenario, plan, channel, horizon), rows in groups.items()
+        ],
+    )
+    print_rows("probability of a quiet deck", scores["quiet"])
+
+
+def print_rows(title: str, rows: Sequence[Row] | None) -> None:
+    """Print rows of results as they are: a column for each key with numbers or words.
+
+    What is the same in all rows stands in the title.
+    """
+    if not rows:
+        return
+    keys = [
+        k
+        for k in dict.fromkeys(key for row in rows for key in row)
+        if not any(isinstance(row.get(k), list | dict) for row in rows)
+    ]
+    same = {k: rows[0].get(k) for k in keys if len({row.get(k) for row in rows}) == 1}
+    keys = [k for k in keys if k not in same or len(rows) == 1]
+    words = {k for k in keys if any(isinstance(row.get(k), str) for row in rows)}
+    about = ", ".join(f"{k} {v}" for k, v in same.items() if v not in (None, "", title))
+    heads = {k: k.replace("_", "\n") for k in keys}
+    table = new_table(
+        f"{title}: {about}" if about else title,
+        *heads.values(),
+        left={heads[k] for k in words},
+        padding=0,
+    )
+    for row in rows:
+        table.add_row(*(_cell(row.get(k)) for k in keys))
+    console.print(table)
+
+
+def _cell(value: Any) -> str:
+    """Return the text of a number or word; a dash for none."""
+    return short(value, 3) if value is None or isinstance(value, float) else str(value)
+
 
 EPISODES_MIN = 3
 """Fewer episodes have no interval."""

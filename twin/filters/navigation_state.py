@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS, STATE
-from twin.checkpoint import FLAG, Field
 from twin.particulars import GRAVITY, Particulars
 
 __all__ = [
     "NAVIGATION",
-    "NAVIGATION_FIELDS",
     "NAVIGATION_SETTINGS",
     "NAVIGATION_WORK",
     "N_NAV",
@@ -115,18 +113,6 @@ NAVIGATION = np.dtype(
     ]
 )
 """What the filter of a boat remembers."""
-
-NAVIGATION_FIELDS = {
-    "P": Field(covariance=True),
-    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
-    **dict.fromkeys(("commands_doubted", "motion_doubted", "restarted"), FLAG),
-    **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
-    **dict.fromkeys(("unchanged", "clock", "since_aid", "drift_var"), Field(low=0.0)),
-    **dict.fromkeys(("since_lost", "unsettled"), Field(low=0.0)),
-    "last": Field(nan=True, infinite=True),
-    "count": Field(low=0.0, high=2.0 * RING_ROWS, integer=True),
-}
-"""What its fields may hold in a saved state."""
 
 NAVIGATION_SETTINGS = np.dtype(
     [

@@ -12,7 +12,6 @@ from twin.filters.navigation_ekf import navigate
 from twin.filters.navigation_state import (
     N_MODELLED,
     NAVIGATION,
-    NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
     NAVIGATION_WORK,
     initial_navigation,
@@ -94,7 +93,7 @@ class Navigator:
 
     def load_state_dict(self, state: State) -> None:
         """Take over what :meth:`state_dict` returned."""
-        check_fields(state, self._views(), NAVIGATION_FIELDS)
+        check_fields(state, self._views())
         fill(self._views(), state)
 
     def begin_again(self, restart: Any) -> None:

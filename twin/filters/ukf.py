@@ -35,11 +35,10 @@ docs/explanation/twin.md, Joint filter; docs/explanation/performance.md, The str
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from twin.filters.linalg import add_product
 from usv_kernel.errors import UsvTwinError
@@ -48,7 +47,6 @@ from usv_kernel.scalar import wrap
 from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded, transpose
 
 __all__ = [
-    "StructuredUKF",
     "UKFWorkspace",
     "measurement_update",
     "scaled_weights",
@@ -353,63 +351,3 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     for i in range(n):
         P[i, i] = max(P[i, i], least[i])
     return nis
-
-
-class StructuredUKF:
-    """The filter as an object, for notebooks and tests.
-
-    ``x`` (n_s + n_xi,) begins with the n_s states. ``limits`` (n_s, 2) say where the slope may
-    differ from 0, see :func:`time_update`; None: everywhere. Others: see :func:`scaled_weights`.
-    """
-
-    def __init__(
-        self,
-        x: ArrayLike,
-        P: ArrayLike,
-        n_s: int,
-        limits: ArrayLike | None = None,
-        alpha: float = 1.0,
-        beta: float = 2.0,
-        kappa: float = 0.0,
-    ) -> None:
-        self.x: Array = np.array(x, dtype=np.float64)
-        self.P: Array = np.array(P, dtype=np.float64)
-        n = len(self.x)
-        everywhere = np.tile(np.array([n_s, n]), (n_s, 1))
-        self.limits = everywhere if limits is None else np.array(limits, dtype=np.int64)
-        self.weights = scaled_weights(n, alpha, beta, kappa)
-        self.work = workspace(n_s, n - n_s)
-        self.n_s = n_s
-
-    def predict(
-        self, model: Callable[[Array, Array], None], Q_s: ArrayLike, q_xi: ArrayLike
-    ) -> int:
-        """Predict over one step; return the number of repairs, 0 as a rule.
-
-        ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the (1 + 2 n_s, n)
-        sigma points by those one step later. It overwrites the (n_s, n) slope by their derivative
-        by x at ``points[0]``, of which only columns n_s and up count. ``Q_s`` (n_s, n_s) and
-        ``q_xi`` (n_xi,) are the variances of this step.
-        """
-        repairs = sigma_points(self.x, self.P, self.weights, self.work)
-        n = len(self.x)
-        model(self.work.points[:, :n], self.work.slope[: self.n_s, :n])
-        return repairs + time_update(
-            self.x,
-            self.P,
-            np.asarray(Q_s, dtype=np.float64),
-            np.asarray(q_xi, dtype=np.float64),
-            self.limits,
-            self.weights,
-            self.work,
-        )
-
-    def update(self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf) -> float:
-        """Correct by measured states z (n_s,), NaN where there is none; return the NIS.
-
-        See :func:`measurement_update`.
-        """
-        z = np.asarray(z, dtype=np.float64)
-        R = np.asarray(R, dtype=np.float64)
-        mask = np.isfinite(z)
-        return measurement_update(self.x, self.P, z, mask, R, angle, gate, self.work)

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import packed_size
 from twin.identification.change import (
     change_evidence,
@@ -81,6 +80,9 @@ joint filter and refits, weighted by their records. Without a joint filter there
 CANDIDATES = REFITS + 3
 
 _TRUSTS = np.array(TRUSTS)
+COUNT_MAX = 2.0**52
+"""Whole numbers up to it are exact in a double."""
+
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 
 STABLE_FOR = 20.0
@@ -440,17 +442,6 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
         refused |= np.uint64(1) << np.uint64(chosen)
         if count[SCORED] < ENOUGH:
             return
-
-
-SELECTOR_FIELDS = {
-    "count": Field(
-        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX, -COUNT_MAX),
-        high=(COUNT_MAX, CANDIDATES - 1.0, *4 * (COUNT_MAX,)),
-        integer=True,
-    ),
-    "surprise": Field(low=0.0, high=SURPRISE_ALARM),
-}
-"""What the fields of a saved :class:`SelectorState` may hold."""
 
 
 class TrustSelector:

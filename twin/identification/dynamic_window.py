@@ -25,7 +25,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.checkpoint import Field, State, check_fields
+from twin.checkpoint import State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
 from twin.particulars import GRAVITY
 from usv_kernel.errors import UsvTwinError
@@ -176,8 +176,7 @@ class WaveProxy:
 
     def load_state_dict(self, state: State) -> None:
         """Take over what :meth:`state_dict` returned."""
-        positive = {"square": Field(low=0.0), "weight": Field(low=0.0, high=1.0)}
-        check_fields(state, self.state_dict(), {"value": Field(low=0.0, nan=True), **positive})
+        check_fields(state, self.state_dict())
         self.value, self._mean = state["value"], state["mean"]
         self._square, self._weight = state["square"], state["weight"]
 
@@ -265,13 +264,7 @@ class DynamicWindow:
 
     def load_state_dict(self, state: State) -> None:
         """Take over what :meth:`state_dict` returned."""
-        number = Field(nan=True, infinite=True)
-        fields = dict.fromkeys(("T", "V", "S", "lambda_max", "adjusted", "latest"), number)
-        fields |= {
-            "w_r": Field(low=0.0, high=self.cap, integer=True),
-            "rows": Field(nan=True, shape=(None, 4)),
-        }
-        check_fields(state, self.state_dict(), fields)
+        check_fields(state, self.state_dict(), ragged=("rows",))
         self.w_r = int(state["w_r"])
         self.T, self.V, self.S = state["T"], state["V"], state["S"]
         self.lambda_max = state["lambda_max"]

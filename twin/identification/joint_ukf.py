@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V
-from twin.checkpoint import Field
 from twin.filters.navigation_ekf import FINE_MAX
 from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
@@ -436,14 +435,6 @@ def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
     every = max(1, min(round(GRID / dt), len(plan)))
     K = math.ceil(len(plan) / every)
     return plan[np.minimum(np.arange(K) * every + every // 2, len(plan) - 1)], every
-
-
-JOINT_FIELDS = {
-    "P": Field(covariance=True),
-    "fastest": Field(low=0.0, infinite=True),
-    **dict.fromkeys(("wave_power", "counted"), Field(low=0.0)),
-}
-"""What the fields of a saved :class:`FilterState` may hold."""
 
 
 class JointUKF:

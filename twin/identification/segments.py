@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import cholesky, dot, invert, packed_size, solve_factored
 from twin.identification.change import ChangeWork, change_work
 from twin.identification.interval_scale import RecordWork, record_work
@@ -324,14 +323,6 @@ def use(xi, factor, trust, state, work):
         state.params[k] = xi[k]
     if factor[0, 0] > 0.0:
         invert(factor, state.cov, work.solve.inverse)
-
-
-SEGMENT_FIELDS = {
-    "trust": Field(low=0.0),
-    "cov": Field(covariance=True),
-    "first": Field(low=-1.0, high=COUNT_MAX, integer=True),
-}
-"""What the fields of a saved :class:`SegmentState` may hold."""
 
 
 class Segments:

@@ -32,7 +32,6 @@ __all__ = [
     "heading_kernel",
     "sector_work_size",
     "simulate_waves",
-    "wave_work_size",
 ]
 
 ORDER = 6
@@ -74,11 +73,6 @@ def _wave_fit_work(work, N):
     a, at = take(work, at, (ORDER,))
     b, at = take(work, at, (ORDER,))
     return WaveFitWork(ahead, back, a, b)
-
-
-def wave_work_size(N: int) -> int:
-    """Return the length of the scratch of :func:`fit_waves` for N rows."""
-    return flat_size(_wave_fit_work, N)
 
 
 class SectorWork(NamedTuple):

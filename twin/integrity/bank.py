@@ -1,4 +1,4 @@
-"""A bank of small navigation filters, each leaving one sensor out, and the test of their innovations.
+"""A bank of small navigation filters, each leaving one sensor out, and tests of their innovations.
 
 Each filter is an extended Kalman filter of eight states
 
@@ -6,8 +6,8 @@ Each filter is an extended Kalman filter of eight states
 
 position and velocity over the ground of the IMU, m and m/s north and east, and heading, rad. Where
 a filter uses the gyro, g is its bias, rad/s, else the yaw rate. Where it uses the accelerometers,
-a_1, a_2 are their biases forward and to starboard, m/s2, else the acceleration itself, a first-order
-Gauss-Markov process (Singer 1970).
+a_1, a_2 are their biases forward and to starboard, m/s2, else the acceleration itself, a
+first-order Gauss-Markov process (Singer 1970).
 
 Noise comes from the data sheets alone. What drifts in a GPS or a compass is process noise of
 position and heading: 2 sd^2 / T of a first-order Gauss-Markov process of the time T.
@@ -15,9 +15,10 @@ position and heading: 2 sd^2 / T of a first-order Gauss-Markov process of the ti
 Samples are taken in epochs of :data:`EPOCH_S`: the mean of the samples of a sensor stands for them,
 at their mean age. The innovations of an epoch, divided by their standard deviations, are white with
 variance 1 if all sensors that the filter uses are sound. So their exponentially weighted mean m
-over a window gives a chi-square, |m|^2 / V, with V the sum of the squared weights. A filter passes
-as long as no window of no sensor exceeds the chi-square that a sound one exceeds once in
-1 / :data:`FALSE_ALARM`.
+over a window gives a chi-square, |m|^2 / V, with V the sum of the squared weights. While all is
+sound it is learned how much more V is, as real errors are neither white nor those of the data
+sheet. A filter passes as long as no window of any sensor exceeds the chi-square that a sound one
+exceeds with the probability :data:`FALSE_ALARM`.
 
 Sources: Särkkä 2013, Bayesian Filtering and Smoothing, 5.2 (filter); Bar-Shalom, Li and Kirubarajan
 2001, Estimation with Applications to Tracking and Navigation, 5.4 (tests of innovations); Singer
@@ -43,7 +44,12 @@ __all__ = [
     "FILTERS",
     "FRESH",
     "LEFT_OUT",
+    "LEVEL_START",
+    "advance_bank",
+    "aid_ratio",
     "bank_settings",
+    "convert",
+    "forget_tests",
 ]
 
 Array = NDArray[np.float64]
@@ -73,6 +79,7 @@ FILTERS, FRESH = len(LEFT_OUT), len(LEFT_OUT) - 1
 
 STATES = 8
 PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
+"""Places in the state."""
 
 EPOCH_S = 0.2
 """Samples within this time are taken together."""
@@ -95,21 +102,47 @@ SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
 
 MISFIT_S = 6.0
+"""Time constant of the likelihood by which filters are compared."""
 
 IMU_SILENT_S = 1.0
 """Gyro or accelerometers without samples for so long drive no filter."""
 
 MOTION_TIME_S = 60.0
+"""Time constant with which it is learned how fast accelerations and yaw rates change."""
 
-STEP_MAX_S, STEPS_MAX = 1.0, 30
-LEVEL_MAX, LEVEL_TIME_S = 6.0, 120.0
+ROW_SHARE = 0.05
+"""Share of a new interval between rows in the typical one."""
+
+ROWS_MISSING = 2.5
+"""A sample of the IMU stands for at most so many rows."""
+
+STEP_MAX_S = 1.0
+"""Longest step of a prediction."""
+
+STEPS_MAX = 30
+"""Most steps of a prediction: a gap that is longer is predicted through coarsely."""
+
+LEVEL_MAX = 6.0
+"""Largest level: beyond, a sensor is at fault."""
+
+LEVEL_START = 4.0
+"""Level at the start: how good the sensors are is not known yet."""
+
+LEVEL_TIME_S = 120.0
+"""Time constant with which levels are learned ..."""
+
+LEVEL_FIRST_S = 10.0
+"""... and that at the start."""
+
+TIMING_S = 0.1
+"""Standard deviation of a sensor's undeclared delay."""
 
 FILTER = np.dtype(
     [
-        ("x", "f8", STATES),
-        ("P", "f8", (STATES, STATES)),
-        ("uses_gyro", "f8"),
-        ("uses_accelerometers", "f8"),
+        ("x", "f8", STATES),  # state
+        ("P", "f8", (STATES, STATES)),  # its covariance
+        ("uses_gyro", "f8"),  # 1 where the gyro drives it, else 0
+        ("uses_accelerometers", "f8"),  # 1 where the accelerometers do
         ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
         ("weight", "f8", (AIDS, WINDOWS)),  # sums of the squared weights
         ("seen", "f8", AIDS),  # time that the windows have seen, s
@@ -126,7 +159,7 @@ FILTER = np.dtype(
 BANK = np.dtype(
     [
         ("filters", FILTER, FILTERS),
-        ("begun", "f8"),
+        ("begun", "f8"),  # 1 once a fix and a heading have come
         ("clock", "f8"),  # s since the start
         # sums of the epoch
         ("span", "f8"),  # its length so far, s
@@ -143,6 +176,7 @@ BANK = np.dtype(
         ("heading", "f8"),  # first heading of the epoch, rad
         ("start", "f8", 5),  # first fix, velocity and heading
         ("force_filter", "f8"),  # the filter in force
+        ("fastest", "f8"),  # largest speed that the boat has sailed, m/s
         ("acceleration", "f8"),  # mean square of a specific force, (m/s2)2
         ("acceleration_walk", "f8"),  # mean square change of it in a second, (m/s2)2/s
         ("epoch_force", "f8", 2),  # mean specific forces of the last epoch, m/s2
@@ -150,6 +184,7 @@ BANK = np.dtype(
         ("epoch_rate", "f8"),  # mean yaw rate of the last epoch, rad/s
     ]
 )
+"""What the bank remembers."""
 
 BANK_SETTINGS = np.dtype(
     [
@@ -158,14 +193,14 @@ BANK_SETTINGS = np.dtype(
         ("compass_var", "f8"),  # rad2
         ("gyro_var", "f8"),  # (rad/s)2
         ("accel_var", "f8"),  # (m/s2)2
-        ("gyro_bias_var", "f8"),
-        ("accel_bias_var", "f8"),
+        ("gyro_bias_var", "f8"),  # (rad/s)2
+        ("accel_bias_var", "f8"),  # (m/s2)2
         ("bias_time", "f8"),  # s
         ("fix_drift", "f8"),  # m2/s
         ("compass_drift", "f8"),  # rad2/s
         ("tilt_drift", "f8"),  # of the velocity, (m/s)2/s
         ("rate_drift", "f8"),  # of a yaw rate without gyro, (rad/s)2/s
-        ("rate_var", "f8"),
+        ("rate_var", "f8"),  # of a yaw rate at the start, (rad/s)2
         ("thrust_var", "f8"),  # of an acceleration without accelerometers, (m/s2)2
         ("thrust_time", "f8"),  # s
         ("speed_var", "f8"),  # of a velocity at the start, (m/s)2
@@ -177,8 +212,19 @@ BANK_SETTINGS = np.dtype(
         ("compass_bias_var", "f8"),  # rad2
     ]
 )
+"""What it is given of a boat and its instruments."""
 
-GPS_DRIFT_S, COMPASS_DRIFT_S, BIAS_TIME_S = 400.0, 200.0, 100.0
+ACCELERATION_MIN = 0.05
+"""Least standard deviation of the acceleration of a boat, m/s2: small waves make as much."""
+
+GPS_DRIFT_S = 400.0
+"""Time constant of the drift of a GPS."""
+
+COMPASS_DRIFT_S = 200.0
+"""Time constant of the drift of a compass."""
+
+BIAS_TIME_S = 100.0
+"""Time constant of the biases of gyro and accelerometers."""
 
 
 def bank_settings(particulars: Particulars) -> Array:
@@ -204,7 +250,7 @@ def bank_settings(particulars: Particulars) -> Array:
             2.0 * (GRAVITY * I.tilt_sd) ** 2 * I.tilt_time,
             (0.5 * turn) ** 2 * turn,
             turn**2,
-            (0.25 * U * turn) ** 2,
+            max(0.25 * U * turn, ACCELERATION_MIN) ** 2,
             L / U,
             U**2,
             I.gps_latency,
@@ -219,7 +265,7 @@ def bank_settings(particulars: Particulars) -> Array:
 
 
 @inlined
-def _convert(one, gyro, accelerometers, given):
+def convert(one, gyro, accelerometers, given):
     """Give the states of gyro and accelerometers the meaning that they have from now on."""
     if one.uses_gyro != gyro:
         one.uses_gyro = gyro
@@ -237,15 +283,12 @@ def _convert(one, gyro, accelerometers, given):
 
 
 @kernel
-def predict(one, T, turn, forward, side, bank, given):
-    """Predict a filter over an epoch of T s; return its acceleration north and east, m/s2.
-
-    ``turn`` is what the gyro turned (rad); ``forward`` and ``side`` are mean specific forces
-    (m/s2).
-    """
+def predict(one, T, bank, given):
+    """Predict a filter by T s of the epoch; return its acceleration north and east, m/s2."""
     x, P = one.x, one.P
     gyro, driven = one.uses_gyro > 0.0, one.uses_accelerometers > 0.0
-    dpsi = turn - T * x[G] if gyro else T * x[G]
+    forward, side = bank.force[0], bank.force[1]
+    dpsi = T * (bank.gyro[0] - x[G]) if gyro else T * x[G]
     c, s = math.cos(x[PSI] + 0.5 * dpsi), math.sin(x[PSI] + 0.5 * dpsi)
     # body accelerations: measured less bias, or the state itself
     a = forward - x[A1] if driven else x[A1]
@@ -314,7 +357,7 @@ def predict(one, T, turn, forward, side, bank, given):
 def _innovation(one, aid, k, z, age, rate, acceleration, given, gain):
     """Return number k of an aid less what a filter expects ``age`` s ago, and h P h'.
 
-    P h' is written to ``gain`` (8,). The row h has a position, a velocity, the heading and the rate.
+    P h' is written to ``gain`` (8,). The row h has entries of position, velocity, heading and rate.
     """
     x, P = one.x, one.P
     if aid == COMPASS:
@@ -389,13 +432,13 @@ def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
 
 
 @inlined
-def learn_level(one, aid, span):
+def _learn_level(one, aid, span, clock):
     """Learn how much more the means vary than those of white innovations would."""
     numbers = 1.0 if aid == COMPASS else 2.0
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
         square = (m0 * m0 + m1 * m1) / one.weight[aid, i] / numbers * one.level[aid, 0]
-        share = min(span / LEVEL_TIME_S, 0.1)
+        share = min(span / min(max(clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
         level = one.level[aid, i] + share * (square - one.level[aid, i])
         one.level[aid, i] = min(max(level, 1.0), LEVEL_MAX)
 
@@ -446,8 +489,8 @@ def _gather(dt, z, bank, given):
     bank.span += dt
     if bank.row == 0.0:
         bank.row = dt
-    bank.row += 0.05 * (min(dt, 2.5 * bank.row) - bank.row)
-    covered = min(dt, 2.5 * bank.row)
+    bank.row += ROW_SHARE * (min(dt, ROWS_MISSING * bank.row) - bank.row)
+    covered = min(dt, ROWS_MISSING * bank.row)
     for aid in range(AIDS):
         bank.age[aid] += dt
         bank.age_sum[aid] += dt * bank.samples[aid]
@@ -518,6 +561,90 @@ def _begin_variances(one, given):
     one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
 
 
+@inlined
+def _end_sums(bank):
+    """Turn the sums of the epoch into means."""
+    for aid in range(AIDS):
+        n = bank.samples[aid]
+        if n > 0.0:
+            bank.age_sum[aid] /= n
+            for j in range(2 * aid, min(2 * aid + 2, 5)):
+                bank.sum[j] /= n
+    for j in range(2):
+        bank.force[j] = bank.force[j] / bank.force[2] if bank.force[2] > 0.0 else 0.0
+    bank.gyro[0] = bank.gyro[0] / bank.gyro[1] if bank.gyro[1] > 0.0 else 0.0
+
+
+@inlined
+def _cover_gap(one, row, bank, given):
+    """Add the uncertainty of the part of an epoch in which gyro or accelerometers were missing."""
+    without_gyro = max(bank.span - bank.gyro[1], 0.0)
+    if one.uses_gyro > 0.0 and without_gyro > 0.5 * row:
+        one.P[PSI, PSI] += without_gyro * without_gyro * given.rate_var
+    missing = max(bank.span - bank.force[2], 0.0)
+    if one.uses_accelerometers > 0.0 and missing > 0.5 * row:
+        noise = 2.0 * missing * given.thrust_time * max(given.thrust_var, bank.acceleration)
+        for i in range(2):
+            one.P[VN + i, VN + i] += noise
+            one.P[PN + i, PN + i] += noise * missing * missing / 3.0
+            one.P[PN + i, VN + i] += 0.5 * noise * missing
+            one.P[VN + i, PN + i] = one.P[PN + i, VN + i]
+
+
+@kernel
+def _advance_filter(k, bank, given, sound, gain):
+    """Predict filter k over the epoch, test it, and correct it."""
+    one, T, row = bank.filters[k], bank.span, bank.row
+    gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
+    driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < IMU_SILENT_S
+    convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
+    steps, north, east = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX), 0.0, 0.0
+    for _ in range(steps):
+        north, east = predict(one, T / steps, bank, given)
+    _cover_gap(one, row, bank, given)
+    rate = bank.gyro[0] - one.x[G] if gyro else one.x[G]
+    # the moment of a sample is known to within a row, and delays are not stated in full
+    late = TIMING_S * TIMING_S + row * row / 12.0
+    for aid in range(AIDS):
+        n = bank.samples[aid]
+        if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
+            continue
+        variance = given.compass_var / n + late * rate * rate
+        if aid == FIXES:
+            variance = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
+        elif aid == VELOCITY:
+            variance = given.velocity_var / n + 0.5 * late * (north * north + east * east)
+        span, age = max(bank.interval[aid], T), bank.age_sum[aid]
+        _take(one, aid, bank.sum, age, variance, span, rate, north, east, given, gain)
+        if sound:
+            _learn_level(one, aid, span, bank.clock)
+    one.ratio = test_ratio(one, k, bank.age)
+
+
+@inlined
+def _learn_motion(bank):
+    """Learn how large accelerations are, and how fast they and the yaw rate change."""
+    T, share = bank.span, min(bank.span / MOTION_TIME_S, 0.1)
+    has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
+    forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
+    sound = bank.filters[0]
+    if bank.force_filter == 0.0 and sound.ratio < 0.5:
+        if min(bank.age[FIXES], bank.age[VELOCITY]) < SILENT_S:
+            bank.fastest = max(bank.fastest, math.hypot(sound.x[VN], sound.x[VE]))
+        if has_force:
+            square = 0.5 * (forward * forward + side * side)
+            bank.acceleration += share * (square - bank.acceleration)
+        a, b = forward - bank.epoch_force[0], side - bank.epoch_force[1]
+        if has_force and not math.isnan(a):
+            bank.acceleration_walk += share * (0.5 * (a * a + b * b) / T - bank.acceleration_walk)
+        step = rate - bank.epoch_rate
+        if has_gyro and not math.isnan(step):
+            bank.rate_walk += share * (step * step / T - bank.rate_walk)
+    bank.epoch_force[0] = forward if has_force else math.nan
+    bank.epoch_force[1] = side if has_force else math.nan
+    bank.epoch_rate = rate if has_gyro else math.nan
+
+
 @kernel
 def advance_bank(dt, z, bank, given, work):
     """Take a row; return whether an epoch ended, so that the tests are new.
@@ -531,73 +658,15 @@ def advance_bank(dt, z, bank, given, work):
     _gather(dt, z, bank, given)
     if bank.span < EPOCH_S - 1e-6:
         return False
-    T, row = bank.span, bank.row
-    has_gyro, has_force = bank.gyro[1] > 0.5 * min(T, row), bank.force[2] > 0.5 * min(T, row)
-    mean_rate = bank.gyro[0] / bank.gyro[1] if has_gyro else 0.0
-    forward = bank.force[0] / bank.force[2] if has_force else 0.0
-    side = bank.force[1] / bank.force[2] if has_force else 0.0
-    missing = (max(T - bank.gyro[1], 0.0), max(T - bank.force[2], 0.0))
-    for aid in range(AIDS):
-        n = bank.samples[aid]
-        if n > 0.0:
-            bank.age_sum[aid] /= n
-            for j in range(2 * aid, min(2 * aid + 2, 5)):
-                bank.sum[j] /= n
-    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5
-    active = FILTERS if 0.0 < bank.force_filter <= 3.0 else FRESH
-    for k in range(active):
-        one = bank.filters[k]
-        gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
-        driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < IMU_SILENT_S
-        _convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
-        steps = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX)
-        north = east = 0.0
-        for _ in range(steps):
-            north, east = predict(one, T / steps, mean_rate * T / steps, forward, side, bank, given)
-        if gyro and missing[0] > 0.5 * row:
-            one.P[PSI, PSI] += missing[0] * missing[0] * given.rate_var
-        if driven and missing[1] > 0.5 * row:
-            noise = 2.0 * missing[1] * given.thrust_time * max(given.thrust_var, bank.acceleration)
-            for i in range(2):
-                one.P[VN + i, VN + i] += noise
-                one.P[PN + i, PN + i] += noise * missing[1] * missing[1] / 3.0
-                one.P[PN + i, VN + i] += 0.5 * noise * missing[1]
-                one.P[VN + i, PN + i] = one.P[PN + i, VN + i]
-        rate = mean_rate - one.x[G] if gyro else one.x[G]
-        for aid in range(AIDS):
-            n = bank.samples[aid]
-            if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
-                continue
-            variance = given.compass_var
-            if aid == FIXES:
-                variance = given.fix_var
-            elif aid == VELOCITY:
-                variance = given.velocity_var
-            span = max(bank.interval[aid], T)
-            age = bank.age_sum[aid]
-            _take(one, aid, bank.sum, age, variance / n, span, rate, north, east, given, work)
-            if sound:
-                learn_level(one, aid, span)
-        one.ratio = test_ratio(one, k, bank.age)
-    if bank.force_filter == 0.0 and bank.filters[0].ratio < 0.5:
-        share = min(T / MOTION_TIME_S, 0.1)
-        if has_force:
-            square = 0.5 * (forward * forward + side * side)
-            bank.acceleration += share * (square - bank.acceleration)
-            if not math.isnan(bank.epoch_force[0]):
-                a, b = forward - bank.epoch_force[0], side - bank.epoch_force[1]
-                walk = 0.5 * (a * a + b * b) / T
-                bank.acceleration_walk += share * (walk - bank.acceleration_walk)
-        if has_gyro and not math.isnan(bank.epoch_rate):
-            step = mean_rate - bank.epoch_rate
-            bank.rate_walk += share * (step * step / T - bank.rate_walk)
-    bank.epoch_force[0] = forward if has_force else math.nan
-    bank.epoch_force[1] = side if has_force else math.nan
-    bank.epoch_rate = mean_rate if has_gyro else math.nan
-    bank.span = 0.0
+    _end_sums(bank)
+    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
+    # the fresh filter is asked for only where a GPS is left out
+    for k in range(FILTERS if 0.0 < bank.force_filter <= VELOCITY + 2.0 else FRESH):
+        _advance_filter(k, bank, given, sound, work)
+    _learn_motion(bank)
+    bank.span = bank.gyro[0] = bank.gyro[1] = 0.0
     for j in range(5):
         bank.sum[j] = 0.0
     for j in range(3):
         bank.samples[j] = bank.age_sum[j] = bank.force[j] = 0.0
-    bank.gyro[0] = bank.gyro[1] = 0.0
     return True

@@ -1,7 +1,7 @@
 """Kernel that holds the sensors and commands of a row against each other, and leaves out faults.
 
-Information flows down once: what a sensor cannot give (:mod:`twin.integrity.screening`), the bank of
-filters and its test (:mod:`twin.integrity.bank`), which of them is in force
+Information flows down once: what a sensor cannot give (:mod:`twin.integrity.screening`), the bank
+of filters and its test (:mod:`twin.integrity.bank`), which of them is in force
 (:mod:`twin.integrity.decision`), and the commands against the motion that it says
 (:mod:`twin.integrity.commands`).
 """
@@ -28,7 +28,7 @@ from twin.integrity.commands import (
     RIGHT_DEAD,
     SOUND,
     WARM_UP_STEPS,
-    is_suspected,
+    most_evidence,
     watch_commands,
 )
 from twin.integrity.decision import decide
@@ -64,9 +64,22 @@ def _set(memory, sensor, status, reason):
     one = memory.sensors[sensor]
     if one.status != status or one.reason != reason:
         if one.status != status:
-            one.since = memory.clock
-            memory.changes += 1.0
+            one.since = memory.clock - (one.silent if status == ABSENT else 0.0)
         one.status, one.reason = status, reason
+
+
+@inlined
+def _all_statuses(memory):
+    """Return one number for the statuses of all sensors: the digits of a number to base 4.
+
+    The digits of the wind are its status and whether it is known or has a reason.
+    """
+    wind = memory.wind
+    number = 1.0 if wind.reason > 0.0 or wind.known > 0.0 else 0.0
+    number = 4.0 * number + wind.status
+    for sensor in range(COMMANDS + 1):
+        number = 4.0 * number + memory.sensors[sensor].status
+    return number
 
 
 @inlined
@@ -112,7 +125,7 @@ def _set_statuses(dt, z, memory):
         _set(memory, COMMANDS, EXCLUDED, IMPOSSIBLE)
     elif h == SOUND:
         _set(memory, COMMANDS, OK, NO_REASON)
-    elif h == LEFT_DEAD or h == RIGHT_DEAD:
+    elif h in (LEFT_DEAD, RIGHT_DEAD):
         # the boat has changed: its commands are used, and the twin learns what they do now
         _set(memory, COMMANDS, DOUBTFUL, HYPOTHESIS_REASON + h - 1)
     else:
@@ -136,7 +149,7 @@ def _watch(dt, cmd, memory, given):
     v += rate * given.bank.origin_arm[0]
     u -= rate * given.bank.origin_arm[1]
     turns = min(bank.imu_age[0] if one.uses_gyro > 0.0 else NEVER_S, bank.age[2]) < KNOWN_S
-    known, doubted = bank.begun > 0.0 and turns, memory.decision.in_doubt > 0.0
+    known, doubted = bank.begun > 0.0 and turns, memory.contradicted > 0.0
     force, has_gps = int(bank.force_filter), False
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
@@ -165,8 +178,10 @@ def _write_restart(memory, has_gps, given):
     ahead, side = given.bank.origin_arm[0], given.bank.origin_arm[1]
     state[0], state[1] = x[0] + c * ahead - s * side, x[1] + s * ahead + c * side
     state[2], state[5] = x[PSI], rate
-    state[3] = x[VN] * c + x[VE] * s - rate * side
-    state[4] = x[VE] * c - x[VN] * s + rate * ahead
+    # no faster than the boat has sailed
+    share = min(1.0, bank.fastest / max(math.hypot(x[VN], x[VE]), 1e-9))
+    state[3] = share * (x[VN] * c + x[VE] * s) - rate * side
+    state[4] = share * (x[VE] * c - x[VN] * s) + rate * ahead
     for i in range(6):
         for j in range(6):
             cov[i, j] = 0.0
@@ -187,23 +202,33 @@ def _write_restart(memory, has_gps, given):
             cov[m, 3 + i] = P[m, VN] * (c if i == 0 else -s) + P[m, VE] * (s if i == 0 else c)
             cov[3 + i, m] = cov[m, 3 + i]
     cov[5, 5] = P[G, G] + given.bank.gyro_var
-    restart.position = 1.0 if has_gps else 0.0
+    used = False
+    for aid in range(2):
+        used = used or (bank.age[aid] < SILENT_S and LEFT_OUT[k, aid] == 0.0)
+    reckons = has_gps and one.uses_accelerometers > 0.0
+    restart.position = 1.0 if used or reckons else 0.0
     restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
     restart.surge = 0.0
     if not has_gps and k == NO_ACCELEROMETERS and memory.drives.steps > WARM_UP_STEPS:
         restart.surge = 1.0
-        state[3], state[4] = memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed, 0.0
+        state[3], state[4] = (
+            memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed,
+            0.0,
+        )
         for i in range(3, 5):
             for j in range(6):
                 cov[i, j] = cov[j, i] = 0.0
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
+BLAMED = 4.0
+"""Above this evidence against the commands, accelerometers are not held against them."""
+
 KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
 RESTART_SD = 0.2
-"""Standard deviation of a surge by the commands alone and of a sway taken for zero, nominal speeds."""
+"""Standard deviation of a surge by the commands and of a sway taken for zero, nominal speeds."""
 
 
 @kernel
@@ -237,23 +262,27 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     has_gps = _watch(dt, cmd, memory, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        trusted = drives.hypothesis == SOUND and not has_gps and not is_suspected(drives)
+        blamed = drives.hypothesis == SOUND and not has_gps and most_evidence(drives) < BLAMED
         switched = decide(
             bank, memory.decision, memory.frozen[:], drives.yaw_witness,
-            drives.force_ratio if trusted else 0.0, given.bank,
+            drives.force_ratio if blamed else 0.0, given.bank,
         )  # fmt: skip
         if switched:
             memory.switched = 1.0
+            # the motion begins again: a step of the commands that spans it would be wrong
+            drives.known = 0.0
             _write_restart(memory, has_gps, given)
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
         if LEFT_OUT[force, part] > 0.0:
             for j in range(PARTS[part, 0], PARTS[part, 1]):
                 out[j] = math.nan
+    memory.contradicted = 0.0
     if memory.decision.in_doubt > 0.0:
         # what fails is not used until it is known what is wrong
         for aid in range(AIDS):
             if aid_ratio(bank.filters[force], aid) >= 1.0:
+                memory.contradicted = 1.0
                 for j in range(PARTS[aid, 0], PARTS[aid, 1]):
                     out[j] = math.nan
     _set_statuses(dt, z, memory)
@@ -265,3 +294,4 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
         doubted = doubted or LEFT_OUT[force, part] > 0.0
     memory.motion_doubted = 1.0 if doubted else 0.0
     check_wind(dt, out, state, ready, memory, given)
+    memory.statuses = _all_statuses(memory)

@@ -38,7 +38,7 @@ __all__ = [
     "HYPOTHESES",
     "drives_settings",
     "initial_drives",
-    "is_suspected",
+    "most_evidence",
     "watch_commands",
 ]
 
@@ -52,9 +52,8 @@ Array = NDArray[np.float64]
     SWAPPED,
     LEFT_DEAD,
     RIGHT_DEAD,
-    HELD,
     UNKNOWN,
-) = range(9)
+) = range(8)
 
 EFFECTS = np.array(
     [
@@ -66,12 +65,10 @@ EFFECTS = np.array(
         [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]],
         [[0.0, 1.0], [0.0, 1.0], [0.0, -1.0]],
         [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],
-        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],
         [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
     ]
 )
-"""Factors of the sides in what a boat makes of its commands. The last but one, of commands of zero,
-goes on with the drive of before; the last makes anything."""
+"""Factors of the sides in what a boat makes of its commands; the last makes anything."""
 
 HYPOTHESES = len(EFFECTS)
 
@@ -95,7 +92,10 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
-DRIFT = 0.2
+RETURNED = 5.0
+"""The same for sound commands, which are likelier from the start."""
+
+DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
 
 FADE = 0.99
@@ -106,6 +106,9 @@ SUSPECT = 1.0
 
 FREEDOM = 10.0
 """Degrees of freedom of Student's t: waves come in groups."""
+
+MODEL_ERROR = 0.25
+"""Standard deviation of what each term leaves out, as a share of it."""
 
 UNKNOWN_SD = 0.7
 """Standard deviation of the drive that unknown commands make, in nominal ones."""
@@ -144,11 +147,17 @@ FORCE_S = 4.0
 FORCE_TIME_S = 60.0
 """Time constant with which offsets and variances of what they differ by are learned."""
 
+LEVEL_MIN = 1.0
+"""Least level of the mean of the forces: waves average out sooner than independent errors."""
+
 WITNESS_S = 10.0
 """Time constant of the witness of gyro and compass."""
 
 DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
 """Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
+
+IDLE = 0.1
+"""A boat lies idle below this drive, yaw rate and surge, nominal units."""
 
 MOTION_MAX = 3.0
 """No boat turns or moves faster, in nominal units."""
@@ -162,7 +171,6 @@ DRIVES = np.dtype(
         ("residual", "f8", 2),  # the last one, whitened
         ("drive", "f8", 4),  # thrust of left and right, and its steering part, after the lags
         ("sum", "f8", 4),  # integral over the step, s; then its mean
-        ("held", "f8", 4),  # mean drive of the last step in which nothing was at odds
         ("span", "f8"),  # time since the step began, s; below 0 there is none
         ("begin", "f8", 2),  # yaw rate and surge when it began
         ("sway", "f8"),  # sway then
@@ -190,7 +198,7 @@ DRIVES = np.dtype(
         ("yaw_witness", "f8"),  # log-likelihood of the turn by compass over that by gyro
         ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
         ("gain", "f8", TERMS),  # scratch
-        ("likelihood", "f8", HYPOTHESES),  # scratch
+        ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
     ]
 )
 """What the checks of the commands remember; nominal units where none are stated."""
@@ -249,7 +257,7 @@ def _limited(motion):
 def _write_rows(drives, yaw, surge, sway, has_gps, given):
     """Write the regressors of all hypotheses."""
     for h in range(HYPOTHESES):
-        row, mean = drives.row[h], drives.held if h == HELD else drives.sum
+        row, mean = drives.row[h], drives.sum
         thrust = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
         moment = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
         difference = EFFECTS[h, 2, 0] * mean[0] + EFFECTS[h, 2, 1] * mean[1]
@@ -277,7 +285,7 @@ def _spread(drives, axis, h, given):
         part = 0.0
         for j in range(TERMS):
             part += drives.P[axis, i, j] * row[j]
-        S += row[i] * part
+        S += row[i] * part + (MODEL_ERROR * row[i] * theta[i]) ** 2
     if h == UNKNOWN:
         size = theta[2] * theta[2]
         if axis == YAW:
@@ -329,12 +337,12 @@ def _learn(drives, axis, h, change):
 
 
 @inlined
-def is_suspected(drives):
-    """Return whether another hypothesis than the one in force gathers evidence."""
+def most_evidence(drives):
+    """Return the evidence for the likeliest hypothesis but the one in force."""
     most = 0.0
     for h in range(HYPOTHESES):
         most = max(most, drives.evidence[h])
-    return most > SUSPECT
+    return most
 
 
 @inlined
@@ -348,13 +356,15 @@ def _put_in_force(drives, h, now):
 
 @inlined
 def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
-    """Write the log-likelihood of a step by each hypothesis."""
+    """Write the log-likelihood of a step by each hypothesis: of yaw alone, and of all."""
     for h in range(HYPOTHESES):
         total = 0.0
         for axis in range(axes):
             change = _change(drives, axis, drives.row[h, axis])
             S = _spread(drives, axis, h, given)
             total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
+            if axis == YAW:
+                drives.likelihood[0, h] = total
         if not has_gps:
             if axes > SURGE:
                 # to starboard the accelerometers measure the turn at the surge of the hypothesis
@@ -363,15 +373,15 @@ def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
                 total += _log_likelihood(error, S) / max(drives.level[1], 1.0)
             change = _change(drives, SURGE, drives.row[h, SURGE])
             drives.surges[h] = _limited(drives.surges[h] + change)
-        drives.likelihood[h] = total
+        drives.likelihood[1, h] = total
 
 
 @kernel
-def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
+def _weigh(drives, changes, turned, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
-    ``turned`` is the heading, rad.
+    ``turned`` is that of the heading, rad.
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
     _write_likelihoods(drives, changes, turned, axes, has_gps, given)
@@ -379,13 +389,12 @@ def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
     strongest = force
     if trained:
         for h in range(HYPOTHESES):
-            sided = given.sides == 0.0 and SWAPPED <= h <= RIGHT_DEAD
-            # without GPS accelerometers at fault would be commands that make anything
-            unasked = (h == HELD and not stopped) or (h == UNKNOWN and not has_gps)
-            if h == force or sided or unasked:
+            if h == force or (given.sides == 0.0 and SWAPPED <= h <= RIGHT_DEAD):
                 drives.evidence[h] = 0.0
             else:
-                more = min(drives.likelihood[h] - drives.likelihood[force], DECIDED) - DRIFT
+                # without GPS, accelerometers at fault would be commands that make anything
+                part = drives.likelihood[0 if h == UNKNOWN and not has_gps else 1]
+                more = min(part[h] - part[force], DECIDED) - DRIFT
                 drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
@@ -393,10 +402,12 @@ def _weigh(drives, changes, turned, axes, stopped, has_gps, now, given):
                 strongest = h
         if drives.evidence[strongest] > DECIDED:
             _put_in_force(drives, strongest, now)
+        elif drives.evidence[SOUND] > RETURNED:
+            _put_in_force(drives, SOUND, now)
         elif force != SOUND and now - drives.since > AGAIN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
-    suspected = is_suspected(drives)
+    suspected = most_evidence(drives) > SUSPECT
     force = int(drives.hypothesis)
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
@@ -434,7 +445,9 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
     drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
     drives.force_ratio = 0.0
     for axis in range(2):
-        excess = changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
+        excess = (
+            changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
+        )
         if has_gps:
             drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
@@ -445,7 +458,7 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
         if has_gps:
             drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
         else:
-            square /= max(drives.level[axis], 1.0) * THRESHOLD
+            square /= max(drives.level[axis], LEVEL_MIN) * THRESHOLD
             drives.force_ratio = max(drives.force_ratio, square)
 
 
@@ -466,8 +479,20 @@ def _follow(drives, yaw, surge, sway, span, trained):
         drives.surges[k] = own
 
 
+@inlined
+def _is_idle(drives, yaw, surge):
+    """Return whether neither the commands made anything in a step nor the boat moved.
+
+    Nothing is learned then: the residuals would fall to their least.
+    """
+    drive = 0.0
+    for i in range(4):
+        drive += abs(drives.sum[i])
+    return drive < IDLE and abs(yaw) < IDLE and abs(surge) < IDLE
+
+
 @kernel
-def _end_step(drives, motion, stopped, doubted, has_gps, now, given):
+def _end_step(drives, motion, doubted, has_gps, now, given):
     """Weigh a step that has ended; return whether the commands explain it."""
     span, h, T, U = drives.span, int(drives.hypothesis), given.time, given.speed
     for i in range(4):
@@ -488,13 +513,16 @@ def _end_step(drives, motion, stopped, doubted, has_gps, now, given):
     trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
     _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
     suspected = True
-    if not doubted:
+    if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
-        suspected = _weigh(drives, changes, turned, axes, stopped, has_gps, now, given)
+        suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
-        if measured and not doubted:
+        if doubted:
+            drives.seen = drives.force_ratio = drives.weight = 0.0
+            drives.mean[0] = drives.mean[1] = 0.0
+        elif measured:
             ahead = (changes[0], forces[0], forces[1])
             _watch_forces(drives, own, ahead, sway, turned, span, h, has_gps)
     else:
@@ -545,19 +573,16 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         drives.span = -1.0
         return
     length = max(STEP * given.time, STEP_MIN_S)
-    stopped = left == 0.0 and right == 0.0
     if drives.known <= KNOWN_S:
         drives.span = -1.0
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)
     elif drives.span >= length - 1e-6:
-        if drives.span < STEP_LONG * length:
-            if _end_step(drives, motion, stopped, doubted, has_gps, now, given):
-                for i in range(4):
-                    drives.trusted[i] = drives.before[i]
-                    drives.before[i] = cmd[i]
-                    if not stopped:
-                        drives.held[i] = drives.sum[i]
+        short = drives.span < STEP_LONG * length
+        if short and _end_step(drives, motion, doubted, has_gps, now, given):
+            for i in range(4):
+                drives.trusted[i] = drives.before[i]
+                drives.before[i] = cmd[i]
         _begin_step(drives, motion, given)
     share = 1.0 - math.exp(-dt / given.lag)
     for side in range(2):

@@ -32,7 +32,7 @@ from twin.integrity.bank import (
     SILENT_S,
     STATES,
     VN,
-    _convert,
+    convert,
     forget_tests,
 )
 from usv_kernel.jit import inlined, kernel
@@ -50,25 +50,56 @@ DECISION = np.dtype(
 )
 """What is remembered of decisions."""
 
-SINGLE_S, DECIDE_S, LOST_S = 0.3, 6.0, 15.0
+SINGLE_S = 0.3
+"""A failure that a single filter explains is decided after so long."""
 
-RETURN_S, RETURN_MAX_S, RELAPSE_S = 2.0, 20.0, 60.0
+LEAD = -2.0 * math.log(1e-3)
+"""Twice the logarithm of the likelihood ratio by which a filter must lead to be decided for so soon
+..."""
+
+DECIDE_S = 6.0
+"""... and after so long the best one is decided for."""
+
+LOST_S = 15.0
+"""If nothing explains a failure for so long, all begins again from the sensors."""
+
+LOST_SD_M = 100.0
+"""Standard deviation of a position of which nothing is known."""
+
+LOST_HEADING_SD_RAD = 0.7
+"""Standard deviation of a heading of which hardly anything is known."""
+
+RETURN_S = 2.0
+"""What is left out is used again after filter 0 has passed for so long ..."""
+
+RETURN_MAX_S = 20.0
+"""... twice as long after each relapse, and so long at most ..."""
+
+RELAPSE_S = 60.0
+"""... where a relapse follows the decision before within so long."""
 
 FRESH_S = 20.0
+"""A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
 
-RESYNC_S, RENEW_S = 5.0, 12.0
+RESYNC_S = 5.0
+"""A filter that is not in force and fails goes on from the one in force after so long."""
 
-HALF = 0.5
+RENEW_S = 12.0
+"""One that passes does so after so long, and so many seconds as its place, that not all are new."""
 
-LEAD = 14.0
+PASSES_WELL = 0.5
+"""Ratio below which a filter passes with a margin: what returns must."""
+FROZEN_RATIO = 9.0
+"""Ratio of a filter that uses a sensor which repeats itself."""
 
-NO_COMPASS, NO_GYRO = 4, 5
+NO_GPS, NO_COMPASS, NO_GYRO, NO_IMU = 3, 4, 5, 7
+"""Filters that leave these out."""
 
 
 @inlined
 def _is_device(k):
     """Return whether filter k leaves out two sensors of a device."""
-    return k == 3 or k == 7
+    return k in (NO_GPS, NO_IMU)
 
 
 @kernel
@@ -81,9 +112,9 @@ def copy_filter(source, target, k, clock, given):
     gyro, driven = target.uses_gyro, target.uses_accelerometers
     target.uses_gyro, target.uses_accelerometers = source.uses_gyro, source.uses_accelerometers
     if LEFT_OUT[k, GYRO] > 0.0 or source.uses_gyro == 0.0:
-        _convert(target, gyro, source.uses_accelerometers, given)
+        convert(target, gyro, source.uses_accelerometers, given)
     if driven != source.uses_accelerometers:
-        _convert(target, target.uses_gyro, driven, given)
+        convert(target, target.uses_gyro, driven, given)
     forget_tests(target)
     target.since = clock
 
@@ -92,7 +123,7 @@ def copy_filter(source, target, k, clock, given):
 def _is_minimal(bank, k, force):
     """Return whether no filter that leaves out less than filter k passes."""
     for other in range(FRESH):
-        if other == k or other == force or bank.filters[other].ratio >= 1.0:
+        if other in (k, force) or bank.filters[other].ratio >= 1.0:
             continue
         part = True
         for j in range(LEFT_OUT.shape[1]):
@@ -160,78 +191,6 @@ def _begin_fresh(bank, force, given):
         fresh.P[VN + i, VN + i] = given.speed_var
 
 
-@kernel
-def decide(bank, state, frozen, yaw_witness, force_ratio, given):
-    """Choose the filter in force after an epoch; return whether it changed.
-
-    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself. The last
-    two are what the commands say without GPS: see :mod:`twin.integrity.commands`.
-    """
-    now, force = bank.clock, int(bank.force_filter)
-    filters = bank.filters
-    for k in range(FILTERS):
-        for j in range(LEFT_OUT.shape[1]):
-            if frozen[j] > 0.0 and LEFT_OUT[k, j] == 0.0:
-                filters[k].ratio = max(filters[k].ratio, FROZEN_RATIO)
-        if LEFT_OUT[k, ACCELEROMETERS] == 0.0:
-            filters[k].ratio = max(filters[k].ratio, force_ratio)
-    state.in_doubt = 0.0
-    if filters[force].ratio >= 1.0:
-        if state.failing_since < 0.0:
-            state.failing_since = now
-        state.in_doubt = 1.0
-        count, best, lead = _best(bank, force, yaw_witness)
-        waited = now - state.failing_since
-        certain = count == 1 and _is_tested(bank, best) and (waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO)
-        if best >= 0 and (certain or (lead > LEAD and waited > SINGLE_S) or waited > DECIDE_S):
-            relapsed = now - state.decided < RELAPSE_S
-            state.relapses = state.relapses + 1.0 if relapsed else 0.0
-            state.dwell = min(RETURN_S * 2.0**state.relapses, RETURN_MAX_S)
-            state.decided, state.failing_since, state.in_doubt = now, -1.0, 0.0
-            bank.force_filter = best
-            if best != 0:
-                copy_filter(filters[best], filters[0], 0, now, given)
-            return True
-        if best < 0 and waited > LOST_S:
-            _begin_anew(bank, given)
-            state.failing_since, bank.force_filter = -1.0, 0.0
-            return True
-        return False
-    state.failing_since = -1.0
-    if force != 0 and force <= 3:
-        fresh = filters[FRESH]
-        if fresh.ratio >= 1.0 or fresh.since <= state.decided:
-            if bank.age[FIXES] < given.gps_latency + 1.0:
-                _begin_fresh(bank, force, given)
-        elif (
-            now - fresh.since > FRESH_S
-            and fresh.ratio < HALF
-            and fresh.seen[FIXES] > HALF * FRESH_S
-        ):
-            for k in range(FRESH):
-                copy_filter(fresh, filters[k], k, now, given)
-            bank.force_filter, state.decided = 0.0, now
-            return True
-    if force != 0:
-        full = filters[0]
-        if full.ratio >= 1.0:
-            state.dwell = min(max(state.dwell, 2.0 * (now - full.since)), RETURN_MAX_S)
-            copy_filter(filters[force], full, 0, now, given)
-        elif now - full.since > state.dwell and full.ratio < HALF and _spoke(full, force, state):
-            bank.force_filter = 0.0
-            for k in range(1, FRESH):
-                copy_filter(full, filters[k], k, now, given)
-            return True
-    for k in range(1, FRESH):
-        if k == force:
-            continue
-        lasting = now - filters[k].since
-        renew = force == 0 and filters[0].ratio < HALF and lasting > RENEW_S + k
-        if renew or (filters[k].ratio >= 1.0 and lasting > RESYNC_S):
-            copy_filter(filters[force], filters[k], k, now, given)
-    return False
-
-
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
@@ -239,16 +198,6 @@ def _is_tested(bank, k):
     for aid in range(AIDS):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
-
-
-@inlined
-def _spoke(full, force, state):
-    """Return whether what is left out has given samples meanwhile."""
-    spoke = True
-    for aid in range(3):
-        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < HALF * state.dwell:
-            spoke = False
-    return spoke
 
 
 @kernel
@@ -261,13 +210,111 @@ def _begin_anew(bank, given):
                 one.P[i, j] = 0.0
         if not math.isnan(bank.start[0]):
             one.x[PN], one.x[PE] = bank.start[0], bank.start[1]
-        one.P[PN, PN] = one.P[PE, PE] = 1e4
+        one.P[PN, PN] = one.P[PE, PE] = LOST_SD_M**2
         one.P[VN, VN] = one.P[VN + 1, VN + 1] = given.speed_var
-        one.P[PSI, PSI] = 0.5
+        one.P[PSI, PSI] = LOST_HEADING_SD_RAD**2
         one.P[A1, A1] = one.P[A2, A2] = given.accel_bias_var
         one.uses_gyro = one.uses_accelerometers = -1.0
         one.since = bank.clock
         forget_tests(one)
 
 
-FROZEN_RATIO = 9.0
+@inlined
+def _add_witnesses(bank, frozen, force_ratio):
+    """Let filters fail that use what repeats itself, or what the commands contradict."""
+    for k in range(FILTERS):
+        one = bank.filters[k]
+        for j in range(LEFT_OUT.shape[1]):
+            if frozen[j] > 0.0 and LEFT_OUT[k, j] == 0.0:
+                one.ratio = max(one.ratio, FROZEN_RATIO)
+        if LEFT_OUT[k, ACCELEROMETERS] == 0.0:
+            one.ratio = max(one.ratio, force_ratio)
+
+
+@kernel
+def _leave_out(bank, state, force, yaw_witness, given):
+    """Decide what explains that the filter in force fails; return whether another one is now."""
+    filters, now = bank.filters, bank.clock
+    if state.failing_since < 0.0:
+        state.failing_since = now
+    state.in_doubt = 1.0
+    count, best, lead = _best(bank, force, yaw_witness)
+    waited = now - state.failing_since
+    soon = waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO
+    certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
+    if best >= 0 and ((soon and certain) or waited > DECIDE_S):
+        relapsed = now - state.decided < RELAPSE_S
+        state.relapses = state.relapses + 1.0 if relapsed else 0.0
+        state.dwell = min(RETURN_S * 2.0**state.relapses, RETURN_MAX_S)
+        state.decided, state.failing_since, state.in_doubt = now, -1.0, 0.0
+        bank.force_filter = best
+        if best != 0:
+            copy_filter(filters[best], filters[0], 0, now, given)
+        return True
+    if best < 0 and waited > LOST_S and bank.age[FIXES] < SILENT_S:
+        _begin_anew(bank, given)
+        state.failing_since, bank.force_filter = -1.0, 0.0
+        return True
+    return False
+
+
+@kernel
+def _use_fresh(bank, state, force, given):
+    """Begin the fresh filter where a GPS is left out; return whether all goes on from it."""
+    fresh, now = bank.filters[FRESH], bank.clock
+    if fresh.ratio >= 1.0 or fresh.since <= state.decided:
+        if bank.age[FIXES] < given.gps_latency + 1.0:
+            _begin_fresh(bank, force, given)
+        return False
+    lasted = now - fresh.since > FRESH_S and fresh.seen[FIXES] > 0.5 * FRESH_S
+    if not (lasted and fresh.ratio < PASSES_WELL):
+        return False
+    for k in range(FRESH):
+        copy_filter(fresh, bank.filters[k], k, now, given)
+    bank.force_filter, state.decided = 0.0, now
+    return True
+
+
+@kernel
+def _use_again(bank, state, force, given):
+    """Return whether what was left out is used again, as filter 0 has passed with it."""
+    full, now = bank.filters[0], bank.clock
+    lasted = now - full.since
+    if full.ratio >= 1.0:
+        state.dwell = min(max(state.dwell, 2.0 * lasted), RETURN_MAX_S)
+        copy_filter(bank.filters[force], full, 0, now, given)
+        return False
+    if lasted <= state.dwell or full.ratio >= PASSES_WELL:
+        return False
+    for aid in range(AIDS):
+        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * state.dwell:
+            return False  # it has not spoken meanwhile
+    bank.force_filter = 0.0
+    for k in range(1, FRESH):
+        copy_filter(full, bank.filters[k], k, now, given)
+    return True
+
+
+@kernel
+def decide(bank, state, frozen, yaw_witness, force_ratio, given):
+    """Choose the filter in force after an epoch; return whether it changed.
+
+    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself. The last
+    two are what the commands say without GPS: see :mod:`twin.integrity.commands`.
+    """
+    now, force, filters = bank.clock, int(bank.force_filter), bank.filters
+    _add_witnesses(bank, frozen, force_ratio)
+    state.in_doubt = 0.0
+    if filters[force].ratio >= 1.0:
+        return _leave_out(bank, state, force, yaw_witness, given)
+    state.failing_since = -1.0
+    if 0 < force <= NO_GPS and _use_fresh(bank, state, force, given):
+        return True
+    if force != 0 and _use_again(bank, state, force, given):
+        return True
+    for k in range(1, FRESH):
+        lasted = now - filters[k].since
+        renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > RENEW_S + k
+        if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > RESYNC_S)):
+            copy_filter(filters[force], filters[k], k, now, given)
+    return False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
-from twin.checkpoint import Field, State, check_fields, fill
+from twin.checkpoint import State, check_fields, fill
 from twin.integrity.checks import check_sensors
 from twin.integrity.state import (
     INTEGRITY,
@@ -30,7 +30,7 @@ __all__ = ["SensorMonitor", "SensorStatus", "run_over", "statuses_of"]
 
 Array = NDArray[Any]
 
-_CHANGES, _SWITCHED = field_at(INTEGRITY, "changes"), field_at(INTEGRITY, "switched")
+_STATUSES, _SWITCHED = field_at(INTEGRITY, "statuses"), field_at(INTEGRITY, "switched")
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(INTEGRITY, "wind") + field_at(WIND_CHECK, name)
@@ -132,9 +132,9 @@ class SensorMonitor:
         self.memory[:] = self._initial
 
     @property
-    def changes(self) -> float:
-        """How often the status of a sensor has changed."""
-        return float(self.memory[_CHANGES])
+    def all_statuses(self) -> float:
+        """All statuses in one number: it differs where one of them does."""
+        return self.memory.item(_STATUSES)
 
     @property
     def commands_doubted(self) -> bool:
@@ -213,7 +213,7 @@ class SensorMonitor:
         StateError
             Names what is missing or damaged.
         """
-        check_fields(state, {"memory": self.memory}, {"memory": Field(nan=True)})
+        check_fields(state, {"memory": self.memory})
         fill({"memory": self.memory}, state)
 
 

@@ -88,7 +88,7 @@ def _shows_motion(part, memory, given):
 
 @inlined
 def find_frozen(dt, memory, given):
-    """Leave out samples that repeat themselves; a sensor that does so while the boat moves is frozen.
+    """Leave out samples that repeat themselves; one that does so while the boat moves is frozen.
 
     A log may have more rows than a sensor has samples, and a coarse or resting one gives the same
     number for long. So a repeated sample counts as none, but once in a while.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.navigation_state import RESTART, largest_leap, sample_limits
-from twin.integrity.bank import BANK, BANK_SETTINGS, bank_settings
+from twin.integrity.bank import BANK, BANK_SETTINGS, LEVEL_START, bank_settings
 from twin.integrity.commands import DRIVES, DRIVES_SETTINGS, drives_settings, initial_drives
 from twin.integrity.decision import DECISION
 from twin.particulars import Particulars
@@ -48,7 +48,6 @@ REASONS = (
     "have swapped sides",
     "do not reach the left thruster",
     "do not reach the right thruster",
-    "are at rest, and the boat goes on as before",
     "do not explain how the boat moves",
 )
 """Why, in words that follow the sensor's name."""
@@ -88,7 +87,7 @@ PARTS = 5
 INTEGRITY = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
-        ("changes", "f8"),  # how often a status has changed
+        ("statuses", "f8"),  # all statuses in one number: it differs where one of them does
         ("sensors", STATUS, len(SENSORS)),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while GPS or compass are left out, or sensors at odds
@@ -101,6 +100,7 @@ INTEGRITY = np.dtype(
         ("renewal", "f8", PARTS),  # typical time between new samples, s
         ("frozen", "f8", PARTS),  # 1 where it repeats itself while the boat moves
         ("masked", "f8", PARTS),  # time for which it is left out after impossible numbers, s
+        ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
         ("leaps", "f8"),  # rows in a row with leaps of the acceleration
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad
@@ -154,12 +154,10 @@ def initial_integrity(particulars: Particulars) -> Array:
     bank = record["bank"]
     for name in ("start", "rate", "epoch_rate", "epoch_force"):
         bank[name] = math.nan
-    bank["filters"]["level"] = 1.0
+    bank["filters"]["level"] = LEVEL_START
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
     record["last"] = math.nan
     record["decision"]["failing_since"] = -1.0
     record["decision"]["decided"] = -math.inf
     record["drives"] = initial_drives(particulars).view(DRIVES)[0]
     return memory
-
-

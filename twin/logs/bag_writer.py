@@ -12,16 +12,18 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
 from twin.logs.columns import Array
-from twin.logs.datum import Datum
 from twin.logs.tables import ExportError, StateTable
 from twin.tilt import body_rates, body_velocity, body_yaw_rate
 from usv_kernel.files import write_whole
+
+if TYPE_CHECKING:
+    from twin.logs.log import Log
 
 __all__ = [
     "BAG_SUFFIX",
@@ -39,23 +41,6 @@ _RATES = ("vertical_speed_mps", "p_radps", "q_radps")
 
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
-
-
-class Recording(Protocol):
-    """What a bag takes of a :class:`twin.Log`; shapes and units are there."""
-
-    @property
-    def t(self) -> Array: ...
-    @property
-    def z(self) -> Array: ...
-    @property
-    def cmd(self) -> Array: ...
-    @property
-    def truth(self) -> Array | None: ...
-    @property
-    def true_motion(self) -> Array | None: ...
-    @property
-    def datum(self) -> Datum | None: ...
 
 
 class Event(NamedTuple):
@@ -84,7 +69,7 @@ class Forecast(NamedTuple):
     tilt_rates: Array | None = None
 
 
-def check_bag(path: str | Path, log: Recording) -> None:
+def check_bag(path: str | Path, log: Log) -> None:
     """Refuse to write a bag without rosbags, or of times that ROS has no stamp for.
 
     Raises
@@ -108,7 +93,7 @@ def check_bag(path: str | Path, log: Recording) -> None:
 
 def write_bag(
     path: str | Path,
-    log: Recording,
+    log: Log,
     states: StateTable | None = None,
     forecast: Forecast | None = None,
 ) -> None:
@@ -155,7 +140,7 @@ def write_bag(
         write_whole(path, next(bag.glob("*.mcap")).read_bytes())
 
 
-def _epoch(log: Recording) -> float:
+def _epoch(log: Log) -> float:
     """Return the time of t = 0, s since 1970; 0 where it is not known."""
     return 0.0 if log.datum is None or log.datum.epoch is None else log.datum.epoch
 
@@ -242,9 +227,10 @@ class _Messages:
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
 
-    def measured(self, log: Recording) -> Iterator[Event]:
+    def measured(self, log: Log) -> Iterator[Event]:
         """Yield what sensors and commands say, row by row."""
         plane = None if log.datum is None else log.datum.plane
+        places = None if plane is None else np.stack(plane.degrees(*log.z[:, :2].T), axis=1)
         for k, t in enumerate(log.t.tolist()):
             row = dict(zip(MEASUREMENTS, log.z[k].tolist(), strict=True))
             ns = self._ns(t)
@@ -255,9 +241,8 @@ class _Messages:
                 message = of(self, t, row)
                 if message is not None:
                     yield Event(ns, place, topic, kind, message)
-            if plane is not None and math.isfinite(row["gps_x_m"] + row["gps_y_m"]):
-                where = plane.degrees(row["gps_x_m"], row["gps_y_m"])
-                fix = self._fix(t, where, row["gps_z_m"])
+            if places is not None and np.isfinite(places[k]).all():
+                fix = self._fix(t, places[k], row["gps_z_m"])
                 yield Event(ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix)
 
     def _command(self, t: float, cmd: Array) -> Any:
@@ -268,7 +253,7 @@ class _Messages:
         kind = "sensor_msgs/msg/JointState"
         return self._new(kind, header, names, position, velocity, np.zeros(0))
 
-    def _fix(self, t: float, place: tuple[float, float], down: float) -> Any:
+    def _fix(self, t: float, place: Array, down: float) -> Any:
         status = self._new("sensor_msgs/msg/NavSatStatus", 0, 1)
         latitude, longitude = map(float, place)
         header = self._header(t, "gps")
@@ -335,7 +320,7 @@ class _Messages:
         vector = self._vector(x, y, z)
         return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
-    def truth(self, log: Recording) -> Iterator[Event]:
+    def truth(self, log: Log) -> Iterator[Event]:
         """Yield the true states of a simulated run."""
         assert log.truth is not None
         for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pymap3d
 
 from twin.logs.errors import LogError
 
@@ -17,7 +18,6 @@ __all__ = [
     "FIXES",
     "Datum",
     "Plane",
-    "radii",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -28,37 +28,20 @@ DATUM = ("datum_latitude_deg", "datum_longitude_deg", "datum_epoch_s")
 FIXES = ("latitude_deg", "longitude_deg")
 """Columns that only place a log whose positions are in metres: where each fix was."""
 
-_MISFIT = 5.0
-"""Largest distance of nine fixes in ten from their place on the plane, m."""
-
-_WGS84 = 6378137.0, 0.0066943799901413165
-"""Equatorial radius, m, and squared eccentricity of the Earth. Source: WGS 84."""
+_MISFIT, _MISFIT_SHARE = 5.0, 0.005
+"""Nine fixes in ten lie within so many metres of their place on the plane, or within this share of
+the way to the middle of them all: loggers have maps of their own, which are less exact."""
 
 _LAST_YEAR = 253402300799.0
 """End of the year 9999, s since 1970."""
 
 
-def radii(latitude: float) -> tuple[float, float]:
-    """Return metres north per radian of latitude, and metres east per radian of longitude.
-
-    Parameters
-    ----------
-    latitude : float
-        Degrees.
-
-    Notes
-    -----
-    Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1.
-    """
-    a, e2 = _WGS84
-    phi = math.radians(latitude)
-    w = math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
-    return a * (1.0 - e2) / w**3, a / w * math.cos(phi)
-
-
 @dataclass(frozen=True)
 class Plane:
-    """The plane that touches the Earth at an origin.
+    """The plane that touches the Earth (WGS 84) at an origin: metres north and east of it.
+
+    Places lie on the ellipsoid and are taken straight down, or up, to the plane. They are those of
+    this side of the Earth.
 
     Parameters
     ----------
@@ -82,18 +65,15 @@ class Plane:
         if not known.any():
             raise LogError(f"{source}: [datum]: no row has latitude, longitude and a position")
         latitude, longitude, x, y = (values[known] for values in (*fixes, *metres))
-        # without a step where it crosses 180 degrees
-        longitude = longitude[0] + np.remainder(longitude - longitude[0] + 180.0, 360.0) - 180.0
-        plane = cls(float(np.median(latitude)), 0.0)
-        for _ in range(3):  # the radii are those at the origin
-            to_north, to_east = radii(plane.latitude)
-            plane = cls(
-                float(np.median(latitude - np.degrees(x / to_north))),
-                float(np.median(longitude - np.degrees(y / to_east))),
-            )
+        plane = cls(float(latitude[0]), float(longitude[0]))
+        for _ in range(5):  # north at the origin is not quite north at the fixes
+            north, east = plane.metres(latitude, longitude)
+            off = float(np.median(north - x)), float(np.median(east - y))
+            plane = cls(*map(float, plane.degrees(*off)))
         north, east = plane.metres(latitude, longitude)
         error = float(np.quantile(np.hypot(north - x, east - y), 0.9))
-        if error > _MISFIT:
+        extent = float(np.quantile(np.hypot(x - np.median(x), y - np.median(y)), 0.9))
+        if error > max(_MISFIT, _MISFIT_SHARE * extent):
             raise LogError(
                 f"{source}: [datum]: latitude and longitude move otherwise than gps_x_m and "
                 f"gps_y_m (by {error:.3g} m); check scale, order and frame, or use [position]"
@@ -102,16 +82,20 @@ class Plane:
 
     def metres(self, latitude: Any, longitude: Any) -> tuple[Any, Any]:
         """Return metres north and east of the origin; of numbers or arrays, degrees."""
-        north, east = radii(self.latitude)
-        across = np.remainder(longitude - self.longitude + 180.0, 360.0) - 180.0
-        return np.radians(latitude - self.latitude) * north, np.radians(across) * east
+        origin = self.latitude, self.longitude, 0.0
+        east, north, _ = pymap3d.geodetic2enu(latitude, longitude, 0.0, *origin)
+        return north, east
 
     def degrees(self, north: Any, east: Any) -> tuple[Any, Any]:
         """Return latitude and longitude, degrees, of places north and east of the origin, m."""
-        to_north, to_east = radii(self.latitude)
-        latitude = np.clip(self.latitude + np.degrees(north / to_north), -90.0, 90.0)
-        longitude = self.longitude + np.degrees(east / to_east)
-        return latitude, np.remainder(longitude + 180.0, 360.0) - 180.0
+        down: Any = 0.0
+        with np.errstate(over="ignore", invalid="ignore"):  # a place may be any number
+            for _ in range(3):  # down to the ellipsoid: within 1 cm as far as 500 km off
+                latitude, longitude, height = pymap3d.enu2geodetic(
+                    east, north, -down, self.latitude, self.longitude, 0.0
+                )
+                down = down + height
+        return latitude[()], np.remainder(longitude + 180.0, 360.0)[()] - 180.0
 
 
 @dataclass(frozen=True, kw_only=True)

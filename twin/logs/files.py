@@ -7,6 +7,9 @@ import gzip
 import io
 import math
 import re
+import subprocess
+import sys
+import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -366,13 +369,22 @@ def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:
     return None
 
 
+_READER = """
+import sys, polars as pl
+source, columns, *numbers = sys.argv[1:]
+pl.scan_parquet(source, glob=False).select(pl.nth(*map(int, numbers))).sink_ipc(columns)
+"""
+"""Run by a process of its own: of a damaged page, polars 2.1 asks for more memory than there is and
+ends its process."""
+
+
 class ParquetFile:
     """A Parquet file; LogError where it is none."""
 
     unit = "row"
 
     def __init__(self, path: Path) -> None:
-        import pyarrow.parquet as pq
+        import polars as pl
 
         self.path, self.source = path, str(path)
         try:
@@ -383,44 +395,35 @@ class ParquetFile:
         if start != b"PAR1":
             what = "is not a Parquet file" if start else "the file is empty"
             raise LogError(f"{path}: {what}; write it again, or give a CSV file the ending .csv")
-        with self._whole():
-            # not polars: a damaged length makes it ask for more memory than there is, and abort
-            self.file = pq.ParquetFile(path)
-            self.header = tuple(self.file.schema_arrow.names)
-
-    @contextmanager
-    def _whole(self) -> Iterator[None]:
-        import polars as pl
-        import pyarrow as pa
-
-        # a decoder of damaged text says ValueError, a damaged length MemoryError
-        damaged = (pa.ArrowException, ValueError, MemoryError, OSError, pl.exceptions.PolarsError)
         try:
-            yield
-        except (*damaged, pl.exceptions.PanicException) as error:
-            reason = shorten((str(error).splitlines() or ["?"])[0], 100)
-            raise LogError(
-                f"{self.path}: the Parquet file is damaged or cut off ({reason}); copy it again"
-            ) from None
+            self.header = tuple(pl.read_parquet_schema(path))
+        except pl.exceptions.DuplicateError as error:
+            raise LogError(f"{path}: {error}; rename one of them") from None
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+            raise self._damaged(str(error)) from None
+
+    def _damaged(self, reason: str) -> LogError:
+        said = shorten(" ".join(reason.split()) or "its pages", 100)
+        return LogError(
+            f"{self.path}: the Parquet file is damaged or cut off ({said}); copy it again"
+        )
 
     def frames(self, sources: Sequence[str], rows: int) -> Iterator[pl.DataFrame]:
         """Yield the columns named, in pieces of so many rows; one empty piece if there are none."""
         import polars as pl
 
-        with self._whole():
-            batches = self.file.iter_batches(rows, columns=list(sources))
-            empty = self.file.schema_arrow.empty_table()
-        while True:
-            with self._whole():
-                piece = next(batches, empty)
-                if piece is None:
-                    return
-                piece.validate(full=True)
-                frame = pl.DataFrame(pl.from_arrow(piece))
-                frame.columns = piece.schema.names  # an empty name would be another
-                frame = frame.select(sources)
-            empty = None
-            yield frame
+        numbers = [str(self.header.index(name)) for name in sources]
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            columns = Path(folder) / "columns.arrow"
+            command = [sys.executable, "-P", "-c", _READER, str(self.path), str(columns)]
+            done = subprocess.run([*command, *numbers], capture_output=True, check=False)
+            if done.returncode:
+                lines = done.stderr.decode("utf-8", "replace").strip().splitlines() or [""]
+                raise self._damaged(lines[-1 if done.returncode == 1 else 0])
+            whole = pl.scan_ipc(columns)
+            height = whole.select(pl.len()).collect().item()
+            for first in range(0, max(height, 1), rows):
+                yield whole.slice(first, rows).collect()
 
     def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[Block]:
         """Yield the columns named, in pieces; see :meth:`CsvFile.blocks`."""

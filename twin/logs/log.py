@@ -43,7 +43,7 @@ from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, ParquetFile, shorten, twice_said
-from twin.logs.mapping import Layout, layout_of, lone_sides
+from twin.logs.mapping import Layout, layout_of, lone_sides, mapping_path
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
 from twin.logs.rosbag import is_bag, read_bag
@@ -62,40 +62,30 @@ _KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *TRUE_MOTION, *SINGLE, *OTHER_
 
 # Names that other projects use, and that no spelling distance would find.
 _ALIASES = {
-    "t": TIME,
-    "time": TIME,
-    "time_s": TIME,
-    "timestamp": TIME,
+    **dict.fromkeys(("t", "time", "time_s", "timestamp"), TIME),
     "x_m": "gps_x_m",
     "y_m": "gps_y_m",
     "heading": "compass_rad",
-    "psi_rad": "compass_rad",
-    "heading_rad": "compass_rad",
-    "psi_deg": "compass_deg",
-    "heading_deg": "compass_deg",
     "r_radps": "gyro_radps",
     "gyro_z_radps": "gyro_radps",
     "p_radps": "gyro_x_radps",
     "q_radps": "gyro_y_radps",
-    "roll_rad": "ahrs_roll_rad",
-    "pitch_rad": "ahrs_pitch_rad",
-    "roll_deg": "ahrs_roll_deg",
-    "pitch_deg": "ahrs_pitch_deg",
-    "wind_speed": "wind_mps",
-    "wind_speed_mps": "wind_mps",
-    "tws_mps": "wind_mps",
+    **dict.fromkeys(("wind_speed", "wind_speed_mps", "tws_mps"), "wind_mps"),
     "wind_direction": "wind_from_rad",
-    "wind_direction_rad": "wind_from_rad",
-    "wind_dir_rad": "wind_from_rad",
-    "twd_rad": "wind_from_rad",
-    "wind_direction_deg": "wind_from_deg",
-    "wind_dir_deg": "wind_from_deg",
-    "twd_deg": "wind_from_deg",
     "aws_mps": "apparent_wind_mps",
-    "awa_rad": "apparent_wind_rad",
-    "awa_deg": "apparent_wind_deg",
 }
-
+_ALIASES |= {
+    f"{given}_{unit}": f"{name}_{unit}"
+    for name, others in {
+        "compass": ("psi", "heading"),
+        "ahrs_roll": ("roll",),
+        "ahrs_pitch": ("pitch",),
+        "wind_from": ("wind_direction", "wind_dir", "twd"),
+        "apparent_wind": ("awa",),
+    }.items()
+    for given in others
+    for unit in ("rad", "deg")
+}
 
 RARE = (
     slice(WIND_SPEED, MOTION_AT),
@@ -283,7 +273,8 @@ class Log:
         mapping : str or Path, optional
             TOML file that says which column or message is which column of the log: see
             ``twin/logs/mapping.py`` and ``twin/logs/mappings/ros2_example.toml``. Left out:
-            ``<log>.mapping.toml`` next to the log, if there is one. A bag needs one.
+            ``<log>.mapping.toml`` next to the log, if there is one. A bag needs one. Or the name of
+            one that ships or that another package adds.
 
         Returns
         -------
@@ -359,7 +350,7 @@ def sibling_path(path: str | Path, suffix: str) -> Path:
 def mapping_of(path: Path, mapping: str | Path | None = None) -> Path | None:
     """Return the mapping file of a log: the one that is given, else the one next to it, if any."""
     if mapping is not None:
-        return Path(mapping)
+        return mapping_path(mapping)
     found = sibling_path(path, ".mapping.toml")
     return found if found.exists() else None
 
@@ -449,7 +440,7 @@ def _chosen(
     remedy = remedy or ["add them to the file"]
     others = f"or name them in {layout.source if mapped_here else 'a mapping file'}"
     if not mapped_here:
-        others += f" (usv-twin mapping new {source} proposes one)"
+        others += f" (usv-twin mapping {source} proposes one)"
     if not any(name in made for name in SINGLE["delta_rad"]):
         others += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
     remedy_text = f"{'; '.join(remedy)}, {others} {there}"

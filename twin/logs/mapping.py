@@ -50,6 +50,10 @@ Of a log of an autopilot only [rows] and this table, each key of which may be le
 
 For a ROS 2 bag each entry names its ``topic`` and ``field`` instead of ``from``; the whole is
 in ``twin/logs/mappings/ros2_example.toml``.
+
+A mapping that ships, or that another package adds by an entry point in the group
+``usv_twin.mappings``, is named without a path, and is found by itself for a log of its columns
+whose name fits its ``files = "pattern*"``.
 """
 
 from __future__ import annotations
@@ -61,6 +65,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +80,11 @@ from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 
 __all__ = [
-    "LAYOUTS",
+    "GROUP",
     "Layout",
     "layout_of",
     "lone_sides",
+    "mapping_path",
 ]
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
@@ -118,6 +124,7 @@ class Layout:
     # rows
     step: float = 0.0
     stamp: str = "header"  # header or receive: which time of a message counts
+    files: str = "*"  # pattern of the names of the logs that it is for, where it is known by name
     # of an autopilot's log: outputs, rev/s at full throttle and degrees at full helm
     servos: Mapping[str, float] = field(default_factory=dict)
 
@@ -128,34 +135,62 @@ class Layout:
         return _Parser(str(path)).layout(read_toml(path, LogError))
 
 
-LAYOUTS = (
-    ("berthing*", "esso_osaka_berthing"),  # its yaw rate is late
-    ("*", "kvlcc2_marin"),
-    ("*", "single_screw"),
-    ("*", "boat1_usv"),
-)
-"""Records whose columns are known: pattern of the file's name, and the mapping that ships."""
+GROUP = "usv_twin.mappings"
+"""Group of the entry points by which other packages add mappings: the path of a file each."""
+
+
+@functools.cache
+def _known() -> dict[str, Path | EntryPoint]:
+    """Return mappings by name, those of other packages first; those that ship keep their names."""
+    shipped = sorted(Path(__file__).with_name("mappings").glob("*.toml"))
+    return {
+        **{entry.name: entry for entry in entry_points(group=GROUP)},
+        **{path.stem: path for path in shipped},
+    }
+
+
+def mapping_path(source: str | Path) -> Path:
+    """Return the file of a mapping that ships or that another package adds, or the path given.
+
+    Others add one by an entry point in the group :data:`GROUP`::
+
+        [project.entry-points."usv_twin.mappings"]
+        our_logger = "my_package:MAPPING"
+
+    LogError: the entry point names no file.
+    """
+    found = _known().get(str(source), source)
+    if not isinstance(found, EntryPoint):
+        return Path(found)
+    try:
+        return Path(found.load())
+    except Exception as error:  # foreign code may raise anything when it is imported
+        raise LogError(
+            f"mapping {source!r}: the entry point {found.value} of another package gives no path "
+            f"of a file ({type(error).__name__}: {error}); mend or remove that package"
+        ) from error
 
 
 def layout_of(name: str, header: Sequence[str]) -> Layout | None:
-    """Return the shipped mapping for a record of known columns, if it is one.
+    """Return the mapping that is known for a record of these columns, if there is one.
 
-    The first of :data:`LAYOUTS` fits of whose columns for what each log needs at most one is not
-    there, which is then said.
+    The first fits of whose columns for what each log needs at most one is not there, which is then
+    said.
     """
-    for pattern, kind in LAYOUTS:
-        if fnmatch(name, pattern):
-            layout = Layout.load(Path(__file__).with_name("mappings") / f"{kind}.toml")
-            there = {entry for entry in layout.entries if set(entry.sources) <= set(header)}
-            absent = {
-                source
-                for entry in layout.entries
-                if entry not in there and set(entry.names) & set(REQUIRED)
-                for source in entry.sources
-            }
-            if len(absent) <= 1:
-                kept = tuple(entry for entry in layout.entries if entry in there)
-                return replace(layout, source=f"{kind}.toml", entries=kept)
+    for kind in _known():
+        layout = Layout.load(mapping_path(kind))
+        if not fnmatch(name, layout.files) or any(entry.topic for entry in layout.entries):
+            continue
+        there = {entry for entry in layout.entries if set(entry.sources) <= set(header)}
+        absent = {
+            source
+            for entry in layout.entries
+            if entry not in there and set(entry.names) & set(REQUIRED)
+            for source in entry.sources
+        }
+        if len(absent) <= 1:
+            kept = tuple(entry for entry in layout.entries if entry in there)
+            return replace(layout, source=f"{kind}.toml", entries=kept)
     return None
 
 
@@ -201,8 +236,8 @@ class _Parser:
         return float(value)
 
     def layout(self, data: Mapping[str, Any]) -> Layout:
-        self.known("top", data, ("stamp", *_TABLES))
-        stamp = data.get("stamp", "header")
+        self.known("top", data, ("stamp", "files", *_TABLES))
+        stamp, files = data.get("stamp", "header"), self.text("top", data, "files", "*")
         if stamp not in ("header", "receive"):
             raise self.fail("stamp", f'{stamp!r} must be "header" or "receive"')
         entries = [
@@ -221,7 +256,9 @@ class _Parser:
         rows = self.known("[rows]", data.get("rows", {}), ("start_s", "stop_s", "step_s"))
         asked = {key.removesuffix("_s"): self.number(f"[rows] {key}", rows[key]) for key in rows}
         servos = self.servos(data.get("servos", {}))
-        layout = Layout(tuple(entries), self.source, stamp=stamp, servos=servos, **asked)
+        layout = Layout(
+            tuple(entries), self.source, stamp=stamp, files=files, servos=servos, **asked
+        )
         if not layout.start < layout.stop or layout.step < 0.0:
             raise self.fail("[rows]", "start_s must be below stop_s, and step_s not below 0")
         return layout

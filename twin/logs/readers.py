@@ -72,9 +72,15 @@ def name_of(path: Path) -> str:
     return name
 
 
-def merged(group: npt.NDArray[np.intp], data: Mapping[str, Array]) -> dict[str, Array]:
-    """Return one row for each group (N,), 0, 0, 1, ...: the last value in it that is not NaN."""
-    rows = int(group[-1]) + 1 if len(group) else 0
+def merged(
+    group: npt.NDArray[np.intp], data: Mapping[str, Array], rows: int | None = None
+) -> dict[str, Array]:
+    """Return one row for each group (N,), 0, 0, 1, ...: the last value in it that is not NaN.
+
+    There are as many rows as groups, or more if ``rows`` says so.
+    """
+    if rows is None:
+        rows = int(group[-1]) + 1 if len(group) else 0
     result = {}
     for key, values in data.items():
         result[key] = np.full(rows, np.nan)

@@ -16,7 +16,7 @@ from twin.channels import COMMANDS, TIME
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
 from twin.logs.files import cannot_be_read, shorten
-from twin.logs.mapping import Layout
+from twin.logs.mapping import Layout, mapping_path
 from twin.logs.readers import MAX_ROWS, Table, date_of, name_of, said, thinned, too_long
 from usv_kernel.errors import UsvTwinError
 
@@ -99,7 +99,7 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
 
 def _own_layout(types: Collection[str]) -> Layout:
     """Return the mapping of a bag that this package wrote, as far as its topics are there."""
-    layout = Layout.load(Path(__file__).with_name("mappings") / "usv_twin_bag.toml")
+    layout = Layout.load(mapping_path("usv_twin_bag"))
     kept = tuple(entry for entry in layout.entries if entry.topic in types)
     return replace(layout, source="usv_twin_bag.toml", entries=kept)
 

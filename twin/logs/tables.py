@@ -142,20 +142,9 @@ class StateTable(np.ndarray):
         return frame
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a pandas DataFrame; dates are in UTC.
+        """Return a pandas DataFrame, where pandas is installed; dates are in UTC."""
+        import pandas as pd
 
-        Raises
-        ------
-        ImportError
-            If pandas is not installed; usv-twin does not need it for anything else.
-        """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise ImportError(
-                "to_pandas needs the package pandas: pip install pandas (or use to_polars(), or "
-                "the array itself)"
-            ) from None
         frame = pd.DataFrame(self._columns())
         if _UTC in frame:
             frame[_UTC] = frame[_UTC].dt.tz_localize("UTC")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from twin.channels import AHRS_ROLL, MOTION_AT, PSI, R, U
-from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
+from twin.checkpoint import State, check_fields, fill, record_views
 from twin.motion.attitude import is_measured, take_attitude
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import (
@@ -34,8 +34,6 @@ from twin.motion.state import (
     CLIMB,
     HEAVE,
     NEVER,
-    RATE_POWER,
-    RING,
     attitude_settings,
     initial_attitude,
 )
@@ -543,43 +541,5 @@ class DeckMotion:
         if not state:
             self.reset()
             return
-        # files of before the age of each axis was kept
-        # or what the boat turned, for an AHRS that is late
-        state = {
-            "attitude.planar_ages": np.zeros(3),
-            "attitude.turned": np.zeros(2),
-            "attitude.turned_ring": np.zeros((RING, 2)),
-            "attitude.rate_power": np.tile(RATE_POWER, (2, 1)),
-            **state,
-        }
-        check_fields(state, self.views(), FIELDS)
+        check_fields(state, self.views())
         fill(self.views(), state)
-        memory = self.record["forecast"]
-        base = self.settings.view(MOTION_SETTINGS)[0]["forecast"]["base"]
-        newest = memory["begun"] + memory["rows"] * base
-        if not abs(newest - memory["t_before"]) <= 2.0:
-            raise StateError(
-                "field 'forecast.rows' does not fit the times beside it; use an earlier copy of "
-                "the file"
-            )
-
-
-_GAPS = Field(nan=True)
-
-_POSITIVE = Field(low=0.0)
-
-FIELDS = {
-    **dict.fromkeys(
-        ("attitude.velocity", "attitude.last", "attitude.planar", "forecast.speed"), _GAPS
-    ),
-    **dict.fromkeys(("attitude.rows", "forecast.rows", "forecast.n_errors"), COUNT),
-    **dict.fromkeys(("attitude.ages", "attitude.planar_ages", "forecast.verifications"), _POSITIVE),
-    "attitude.rate_power": Field(low=1e-9),
-    "forecast.is_fit": FLAG,
-    "attitude.tilt": Field(low=-10.0, high=10.0),
-    "attitude.P": Field(covariance=True),
-    "attitude.P_vertical": Field(covariance=True),
-    "forecast.weight": Field(low=1e-9),
-    **dict.fromkeys(("attitude.surprise", "attitude.doubted", "attitude.by_gravity"), _POSITIVE),
-}
-"""What the fields of a saved state may hold."""

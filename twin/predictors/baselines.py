@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.checkpoint import ANY, COUNT, GAPS, Field, State, StateError, restore_attributes
+from twin.checkpoint import State, restore_attributes
 from twin.filters.navigator import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import (
@@ -108,33 +108,10 @@ class HistoryPredictor(Predictor):
         state["unreliable"] = np.array(self._unreliable, dtype=np.float64)
         return state
 
-    def fields(self) -> dict[str, Field]:
-        """Return what the fields of a saved state may hold, where attributes do not say it."""
-        return {
-            **{"t": ANY, "cmd": ANY, "extra": GAPS, "last": GAPS, "next": Field(infinite=True)},
-            "rows": Field(nan=True, shape=(None, len(self._last))),
-            "unreliable": Field(low=0.0, high=1.0, integer=True, shape=(None,)),
-            "dropped": COUNT,
-        }
-
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        # earlier files lack some of it
-        none = np.zeros(len(state.get("rows", ())))
-        state = {"dropped": 0, "suspended": False, "unreliable": none, **state}
-        restore_attributes(self, state, self._left_out(), self.fields())
-        if len(self._unreliable) != len(self._rows):
-            raise StateError(
-                f"field 'unreliable' has {len(self._unreliable)} entries for {len(self._rows)} "
-                "rows; use an earlier copy of the file"
-            )
+        restore_attributes(self, state, self._left_out())
         self._unreliable = [flag > 0.0 for flag in self._unreliable]
-        if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
-            raise StateError(
-                f"field 'next' = {self._next} is not within {2.0 * GRID} s of t = {self.t}; use an "
-                "earlier copy of the file"
-            )
-        self._dropped = int(self._dropped)
         # past forecasts and their errors follow from the history
         self._errors_at = -math.inf
         self._kept_paths.clear()
@@ -349,14 +326,6 @@ class Persistence(HistoryPredictor):
         """See :meth:`Predictor.reset`."""
         super().reset()
         self._sum = np.zeros(3)
-
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`HistoryPredictor.fields`."""
-        return {**super().fields(), "sum": Field(nan=True, infinite=True)}
-
-    def load_state_dict(self, state: State) -> None:
-        """Take over a saved state; see :meth:`HistoryPredictor.load_state_dict`."""
-        super().load_state_dict({"sum": np.zeros(3), **state})
 
     @property
     def look_back(self) -> float:

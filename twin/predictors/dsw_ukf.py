@@ -27,11 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import MEASUREMENTS, PSI, U
 from twin.checkpoint import (
-    COUNT,
-    GAPS,
-    Field,
     State,
-    StateError,
     check_fields,
     load_part,
     with_prefix,
@@ -397,11 +393,6 @@ class DSWPredictor(ModelPredictor):
             **with_prefix("ring", self._ring._asdict()),
         }
 
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`ModelPredictor.fields`."""
-        positive = ("noise.process", "noise.measurement", "ring.dts")
-        return {**super().fields(), **dict.fromkeys(positive, Field(low=0.0))}
-
     def state_dict(self) -> State:
         """See :meth:`ModelPredictor.state_dict`."""
         return {
@@ -417,18 +408,14 @@ class DSWPredictor(ModelPredictor):
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         parts = {"fusion": self.fusion, "window": self.window, "waves": self.waves}
         own = {k: v for k, v in state.items() if k.partition(".")[0] not in parts}
-        # earlier files lack the last two
-        own = {"held": False, "sound": own.get("count"), **own}
         like = {"count": 0, "wind": 0.0, "held": False, "sound": 0}
         count = {name: own.pop(name, None) for name in like}
-        check_fields(count, like, {"count": COUNT, "wind": GAPS, "sound": COUNT})
+        check_fields(count, like)
         for name, part in parts.items():
             load_part(name, part, state)
         super().load_state_dict(own)
-        self._count, self._wind = int(count["count"]), count["wind"]
-        self._held, self._sound = bool(count["held"]), int(count["sound"])
-        if not self.window._latest <= self.t:
-            raise StateError("field 'window.latest' is later than 't'; use an earlier copy")
+        self._count, self._wind = count["count"], count["wind"]
+        self._held, self._sound = count["held"], count["sound"]
 
     @property
     def ready(self) -> bool:

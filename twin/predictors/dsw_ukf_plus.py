@@ -29,14 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import COUNT, Field, State, StateError, with_prefix
 from twin.filters.linalg import cholesky
-from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
+from twin.identification.data_weight import TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability
 from twin.identification.joint_ukf import JointUKF, coarse_plan
 from twin.identification.prediction_error import COLUMNS, FIRST, NONE, RefitSettings
-from twin.identification.segments import SEGMENT_FIELDS, Segments
+from twin.identification.segments import Segments
 from twin.identification.wave_residual import FACTOR
 from twin.model.dynamics import model_of
 from twin.model.priors import boat_or, population_prior
@@ -246,27 +245,6 @@ class PlusPredictor(UKFPredictor):
         window["refit_at"] = -math.inf
         # until waves have been measured: as high as the refit assumes, and white
         window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
-
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`ModelPredictor.fields`."""
-        return {
-            **super().fields(),
-            **dict.fromkeys(("window.halves", "window.next_start", "window.compared"), COUNT),
-            "window.refit_at": Field(infinite=True),
-            **with_prefix("segments", SEGMENT_FIELDS),
-            **with_prefix("selector", SELECTOR_FIELDS),
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        super().load_state_dict(state)
-        # rows are written up to the time, one by one
-        newest = float(self.window["origin"] + 0.5 * GRID * self.window["halves"])
-        if self.ready and not abs(newest - self.t) <= GRID + 1e-6:
-            raise StateError(
-                f"field 'window.halves' ends at {newest} s, and t = {self.t}; use an earlier copy "
-                "of the file"
-            )
 
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:

@@ -91,7 +91,6 @@ __all__ = [
     "plus_step",
     "plus_work_of",
     "refit_work",
-    "take_segments",
     "update_plus",
 ]
 
@@ -271,20 +270,6 @@ def _take_segments(rows, window, selector, segments, nav, config, model, work):
         tried += 1
     window.next_start = start
     return tried
-
-
-@kernel
-def take_segments(memory, config, work):
-    """Do :func:`_take_segments` on flat memory, for Python."""
-    p = config.model.which.shape[1]
-    given = refit_config(config.refit, p)
-    selector = selector_state(memory.selector, p, given.steps, given.spacing)
-    segments = segment_state(memory.segments, p, given.capacity)
-    scratch = refit_work(work, p, given.capacity)
-    window, nav = as_record(memory.window, WINDOW), as_record(memory.nav, NAVIGATION)
-    return _take_segments(
-        memory.rows, window, selector, segments, nav, given, config.model, scratch
-    )
 
 
 _WAVE_ROWS = round(WAVE_SPAN / GRID) + 1

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
-from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
+from twin.checkpoint import State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import (
     is_learning_suspended,
     is_ready,
@@ -29,7 +29,6 @@ from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
     NAVIGATION,
-    NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
     NAVIGATION_WORK,
     WIND_LIMIT,
@@ -41,7 +40,6 @@ from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
-    JOINT_FIELDS,
     STEP_MAX,
     JointUKF,
     accumulate_information,
@@ -64,7 +62,7 @@ from twin.predictors.model_aid import aid_by_model
 from twin.predictors.without_gps import try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import as_record
+from usv_kernel.records import as_record, field_at
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -100,6 +98,9 @@ speed; that of a smaller one lasts less."""
 
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
+
+
+_LOST = field_at(NAVIGATION, "lost")
 
 
 class UKFMemory(NamedTuple):
@@ -354,10 +355,6 @@ class ModelPredictor(Predictor):
         """Return the arrays that the predictor remembers, by field; they are views."""
         return with_prefix("filter", record_views(self.ukf.memory, self.ukf.dtype))
 
-    def fields(self) -> dict[str, Field]:
-        """Return what the fields of a saved state may hold."""
-        return with_prefix("filter", JOINT_FIELDS)
-
     def state_dict(self) -> State:
         """Return all that is remembered; a subclass that remembers more adds its fields."""
         return {"t": self.t, **{name: view.copy() for name, view in self.views().items()}}
@@ -365,7 +362,7 @@ class ModelPredictor(Predictor):
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         views = self.views()
-        check_fields(state, {"t": self.t, **views}, self.fields())
+        check_fields(state, {"t": self.t, **views})
         self.t = float(state["t"])
         fill(views, state)
 
@@ -523,10 +520,6 @@ class UKFPredictor(ModelPredictor):
                 found[part] = memory
         return found
 
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`ModelPredictor.fields`."""
-        return {**super().fields(), **with_prefix("nav", NAVIGATION_FIELDS)}
-
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:
         """Structured dtypes of the parts of the memory, by name."""
@@ -555,7 +548,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def lost(self) -> bool:
         """See :attr:`twin.predictors.base.Predictor.lost`."""
-        return bool(self._nav["lost"] > 0.0)
+        return self.memory.nav.item(_LOST) > 0.0
 
     @property
     def navigation(self) -> Array:

@@ -12,7 +12,7 @@ import math
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,7 @@ TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 """Names of the observation sets with a twin."""
 
 _HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(INTEGRITY))
+_ALL_STATUSES = _HEALTH.start + field_at(INTEGRITY, "statuses")
 _LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
 
 
@@ -141,6 +142,8 @@ class TwinObserver(Observer):
         self.scores.fill(NO_SCORES)
         if forecast_scores:
             self._infos["twin_forecast"] = self.scores
+        self._first_infos: dict[str, Any] = {}
+        self._first_statuses = math.nan
         graded = self._notes[:, GRADES_AT + GRADED_AT] if self._grading else np.zeros(1)
         # of one boat a number, which is quicker to compare
         self._count: Callable[[], Any] = graded.item if episodes.n == 1 else graded.tolist
@@ -167,6 +170,12 @@ class TwinObserver(Observer):
                 f"twin_quiet_{span:g}s": quiet[:, k] for k, span in enumerate(QUIET_SPANS)
             }
             self._infos["twin_hs_m"] = self.notes["hs"]
+        self._moving = [
+            (name, values.item)
+            for name, values in self._infos.items()
+            if not name.startswith("twin_health_")
+        ]
+        """Infos that change in every step, and what reads them."""
         if observation == "twin_health":
             self.names += HEALTH_OBSERVATION
         elif observation == "twin_params":
@@ -189,6 +198,17 @@ class TwinObserver(Observer):
     def infos(self) -> dict[str, np.ndarray]:
         """See :class:`Observer`."""
         return self._infos
+
+    def first_infos(self) -> dict[str, Any]:
+        """See :class:`Observer`; statuses are read when one has changed."""
+        statuses = self._notes.item(_ALL_STATUSES)
+        if statuses != self._first_statuses:
+            self._first_statuses = statuses
+            self._first_infos = super().first_infos()
+        found = self._first_infos.copy()
+        for name, item in self._moving:
+            found[name] = item(0)
+        return found
 
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that has seen nothing yet."""
@@ -236,11 +256,13 @@ class TwinObserver(Observer):
         """See :class:`Observer`."""
         if self._count() != self._graded:
             self._take_scores()
+        if self._observation not in ("twin_health", "twin_params"):
+            return
         at = len(self.episodes.observation) + len(TWIN_OBSERVATION)
         if self._observation == "twin_health":
             status = self.notes["health"]["sensors"]["status"][rows]
             obs[rows, at:] = TRUST[status.astype(np.intp)]
-        elif self._observation == "twin_params":
+        else:
             xi, sd = self._identified(rows)
             half = at + xi.shape[1]
             obs[rows, at:half] = ((xi - self._prior) / self._prior_sd).clip(-BOUND, BOUND)
@@ -324,7 +346,7 @@ class SeparateTwins(TwinObserver):
     def _note_forecast(self, i: int, t: float) -> None:
         """Note what the twin of boat i forecasts at time t."""
         note, twin = self.notes[i], self.twins[i]
-        self._plan[:] = self.episodes.simulation.cmd[i]
+        self._plan[:] = self.episodes.simulation.reported[i]
         if t >= note["covs_due"]:
             note["covs_due"] = t + self.band_period - 1e-9
             prediction = twin.predictor.predict(self._plan, LONG_STEP)
@@ -352,7 +374,7 @@ class SeparateTwins(TwinObserver):
             t = note["last"].item()
             if dt >= 0.0:
                 # arrays that a twin keeps must not change with the next row
-                twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
+                twin.feed(t, note["z"].copy(), sim.reported[i].copy())
                 if twin.motion.active:
                     note_attitude_flat(boat, self._notes[i], twin.motion.memory)
                 if self._grading:
@@ -387,7 +409,7 @@ class CompiledTwins(TwinObserver):
     ) -> None:  # fmt: skip
         super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
         predictor = self._predictor = _compiled(twin)
-        self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
+        self._single, self._cmd = episodes.n == 1, episodes.simulation.reported[0]
         if self._single:
             twin.monitor.remember(self._notes[0, _HEALTH])
             if self.motions.shape[1]:
@@ -407,6 +429,8 @@ class CompiledTwins(TwinObserver):
         # threads need their own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
         self._looks = [self._settings, *(each[0][4] for each in self._all)]
+        self._look: bool | None = None
+        """Whether the kernels write observations; None where that may differ between them."""
         self.by_block = not self._single
 
     @property
@@ -454,7 +478,7 @@ class CompiledTwins(TwinObserver):
             twin.motion.memory[:] = self.motions[i]
         twin.t = predictor.t = self.notes["last"].item(i)
         twin.begun = self.notes["begun"].item(i)
-        twin.cmd = self.episodes.simulation.cmd[i].copy()
+        twin.cmd = self.episodes.simulation.reported[i].copy()
         return twin
 
     def _identified(self, rows: slice) -> tuple[Array, Array]:
@@ -464,26 +488,30 @@ class CompiledTwins(TwinObserver):
         return state["x"][:, N_STATES:], np.sqrt(variances[:, N_STATES:])
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
-        for settings in self._looks:
-            settings[_LOOK] = look
-        if rows != _ALL:
-            self._call(*self._arguments(rows), obs[rows])
-        elif len(self._all) == 1:
-            self._call(*self._all[0], obs)
-        else:
-            self.episodes.each(lambda j: self._call(*self._all[j], obs[self.episodes.blocks[j]]))
+        if look is not self._look:
+            self._look = look
+            for settings in self._looks:
+                settings[_LOOK] = look
         if self._single:
+            self._observe_rows(*self._all[0], obs)
             twin = self.first
             # the first fields of a note: time of the last row, and of the first
             twin.t = self._predictor.t = self._notes.item(0)
             twin.begun = self._notes.item(1)
             twin.cmd = self._cmd
             twin.note_health()
+        elif rows != _ALL:
+            self._observe_rows(*self._arguments(rows), obs[rows])
+        elif len(self._all) == 1:
+            self._observe_rows(*self._all[0], obs)
+        else:
+            blocks = self.episodes.blocks
+            self.episodes.each(lambda j: self._observe_rows(*self._all[j], obs[blocks[j]]))
 
     def observe_block(self, j: int, obs: NDArray[np.float32], look: bool) -> None:
         """See :class:`Observer`."""
-        self._looks[1 + j][_LOOK] = look
-        self._call(*self._all[j], obs)
+        self._looks[1 + j][_LOOK], self._look = look, None
+        self._observe_rows(*self._all[j], obs)
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task = self.episodes.simulation, self.episodes.task
@@ -493,13 +521,18 @@ class CompiledTwins(TwinObserver):
             self._notes[rows],
             self.episodes.shared[self.kind],
             self._settings.copy() if own else self._settings,
-            self.motions[rows],
-            self.first.motion.settings,
-            self._motion_work.copy() if own else self._motion_work,
+            *self._motion_arguments(rows, own),
         )
         scratch = copy.deepcopy(self._scratch) if own else self._scratch
         memory = (array[rows] for array in self.memory)
         return tuple(boats), tuple(memory), self._given, *scratch
+
+    def _motion_arguments(self, rows: slice, own: bool) -> tuple[Any, Any, Any]:
+        """Return what of :class:`Boats` is about roll, pitch and heave."""
+        if not self.motions.shape[1]:
+            return None, None, None
+        work = self._motion_work.copy() if own else self._motion_work
+        return self.motions[rows], self.first.motion.settings, work
 
     @property
     def rollout_inputs(self) -> RolloutInputs:
@@ -511,9 +544,7 @@ class CompiledTwins(TwinObserver):
         """What the models have in common: structure, lags, envelope, unit of shaft speed."""
         return self._predictor.ukf
 
-    @staticmethod
-    def _call(*arguments: object) -> None:
-        observe_ukf(*arguments)
+    _observe_rows: ClassVar[Callable[..., Any]] = staticmethod(observe_ukf)
 
 
 def _compiled(twin: Twin) -> UKFPredictor:
@@ -540,9 +571,7 @@ class CompiledPlusTwins(CompiledTwins):
             normal,
         )
 
-    @staticmethod
-    def _call(*arguments: object) -> None:
-        observe_plus(*arguments)
+    _observe_rows = staticmethod(observe_plus)
 
 
 def twins_of(

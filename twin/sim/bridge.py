@@ -207,16 +207,14 @@ def prepare(
     return PreparedRun(simulation, commands(manoeuvre, times, vessel, helm_rng), name)
 
 
-def sail(
-    run: PreparedRun, before_step: Callable[[float, Simulation, Array], None] | None = None
-) -> Log:
+def sail(run: PreparedRun, before_step: Callable[[float, Simulation], None] | None = None) -> Log:
     """Step a simulation by its commands, and return the log, with the truth.
 
-    ``before_step(t, simulation, command)`` may change boat and sea, and in place the command (4,)
-    that reaches the boat; the log has the command as given.
+    ``before_step(t, simulation)`` may change boat and sea. The log has the commands as they are
+    reported, with faults.
     """
     simulation, N = run.simulation, len(run.commands)
-    t, cmd = np.empty(N + 1), np.concatenate([simulation.cmd, run.commands])
+    t, cmd = np.empty(N + 1), np.concatenate([simulation.reported, run.commands])
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     motion, held = np.empty((N + 1, len(VERTICAL))), np.zeros(2)
     for k in range(N + 1):
@@ -225,10 +223,10 @@ def sail(
                 sample = z[k - 1, [COMPASS, GYRO]]
                 held = np.where(np.isnan(sample), held, sample)
                 cmd[k] = run.autopilot(truth[k - 1], *held)
-            command = cmd[k : k + 1].copy()
             if before_step is not None:
-                before_step(float(simulation.t[0]), simulation, command[0])
-            simulation.step(command)
+                before_step(float(simulation.t[0]), simulation)
+            simulation.step(cmd[k : k + 1])
+            cmd[k] = simulation.reported[0]
         t[k] = simulation.t[0]
         z[k, SIMULATED] = simulation.z[0]
         truth[k], motion[k] = simulation.state[0, TRUE_STATE], simulation.state[0, VERTICAL]

@@ -35,9 +35,16 @@ from twin.model.structure import N_STATES
 from twin.motion.deck_motion import Z90
 from usv_gym.envs.episodes import EPISODES
 from usv_gym.physics import frames as fr
-from usv_gym.world.channels import AHRS_BIT, COMPASS_BIT, GPS_BIT, IMU_BIT, WIND_BIT
+from usv_gym.world.channels import (
+    AHRS_BIT,
+    COMPASS_BIT,
+    FIXES_BIT,
+    GPS_BIT,
+    IMU_BIT,
+    WIND_BIT,
+)
 from usv_gym.world.faults import LOSS
-from usv_gym.world.state import BOAT, sensor_arrays
+from usv_gym.world.state import BOAT, fault_arrays
 from usv_kernel.arrays import take
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
@@ -262,12 +269,12 @@ def is_in_loss(t, row, simulation):
 
     A loss of a sensor that the boat does not have is none.
     """
-    there = GPS_BIT | COMPASS_BIT | IMU_BIT
+    there = GPS_BIT | FIXES_BIT | COMPASS_BIT | IMU_BIT
     if simulation.suite.wind_share > 0.0:
         there |= WIND_BIT
     if simulation.dof == 6 and simulation.suite.ahrs_share > 0.0:
         there |= AHRS_BIT
-    faults = sensor_arrays(row, simulation)[0]
+    faults = fault_arrays(row, simulation)[0]
     for i in range(faults.shape[0]):
         fault = faults[i]
         if fault.effect == LOSS and int(fault.bits) & there and t >= fault.start:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,10 @@ class MixedTwins(Observer):
             name: np.choose(self._numbers.astype(np.intp), [infos[name] for infos in each])
             for name in each[0]
         }
+
+    def first_infos(self) -> dict[str, Any]:
+        """See :class:`Observer`."""
+        return self._of(0).first_infos()
 
 
 def observer_of(

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import shlex
 from pathlib import Path
+from typing import Any
 
-from twin.logs import datasets as archive
+from twin.digital_twin import Twin, TwinError
 from twin.logs.autopilot.outputs import particulars_of_parameters
 from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
+from twin.logs.datasets import known_ship
 from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
+from twin.predictors.own_prior import prior_note
+from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import particulars_of
+from twin.sim.oracle import check_simulator
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_kernel.files import TOML_MAX, read_limited
 
@@ -19,6 +26,7 @@ __all__ = [
     "has_particulars",
     "particulars_for_log",
     "read_run",
+    "twin_for_log",
 ]
 
 
@@ -38,8 +46,8 @@ def read_run(
 
 
 def has_particulars(path: str | Path) -> bool:
-    """Return whether a log states its boat: in a file next to it, or as a run of an archive."""
-    return sibling_path(path, ".toml").exists() or archive.known(path)
+    """Return whether a log states its boat: in a file next to it, or by columns that are known."""
+    return sibling_path(path, ".toml").exists() or known_ship(path) is not None
 
 
 def particulars_for_log(
@@ -47,17 +55,20 @@ def particulars_for_log(
 ) -> Particulars:
     """Return the particulars for a log.
 
-    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat. ``ship`` is a TOML file of particulars, of one boat or several (``[[ship]]``,
-    see :meth:`twin.particulars.Particulars.load`). Or it is the name or file of a vessel of
-    ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file
-    and remedy; a log without particulars is such an error.
+    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of a boat
+    that is known by the columns of the log. ``ship`` is a TOML file of particulars, of one boat or
+    several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`). Or it is the name or file
+    of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
+    VesselError: file and remedy; a log without particulars is such an error.
 
     A vessel that an autopilot's log is of gets the log's unit of shaft speed, and the places of
     its sensors, from the autopilot's parameters. ``mapping`` is that of the log.
     """
     file = sibling_path(path, ".toml")
-    if ship is None and not has_particulars(path):
+    known = known_ship(path) if ship is None and not file.exists() else None
+    if known is not None:
+        return known
+    if ship is None and not file.exists():
         names = ", ".join(vessel_names())
         given = (path,) if mapping is None else (path, "--mapping", mapping)
         options = shlex.join(str(each) for each in given)
@@ -65,8 +76,6 @@ def particulars_for_log(
         raise ParticularsError(
             _NO_PARTICULARS.format(path=path, options=options, file=target, names=names)
         )
-    if ship is None and not file.exists():
-        return archive.ship(path)
     ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
@@ -83,9 +92,87 @@ def particulars_for_log(
     return particulars_of_parameters(boat, parameters, servos, str(path))
 
 
+def twin_for_log(
+    path: str | Path,
+    predictor: str | None = None,
+    *,
+    ship: str | None = None,
+    mapping: str | Path | None = None,
+    model: str | None = None,
+    until: float | None = None,
+    resume: str | Path | None = None,
+    own_prior: bool = True,
+) -> tuple[Log, Twin]:
+    """Return a log without its truth, and the twin that is to run over it.
+
+    Parameters
+    ----------
+    path, ship, mapping
+        As for :func:`read_run`.
+    predictor, model : str, optional
+        Names of the predictor and of its model's structure.
+    until : float, optional
+        Rows after this time are left out, s.
+    resume : str or Path, optional
+        File of ``Twin.save``: that twin goes on, with the rows after its time.
+    own_prior : bool
+        Whether the twin begins with the prior of the particulars, if they have one.
+
+    Raises
+    ------
+    UsvTwinError
+        Where the log cannot be read, has no row left, or contradicts the saved twin.
+    """
+    name = predictor or DEFAULT
+    predictor_class(name)
+    log = Log.read(path, mapping)
+    if resume is not None:
+        twin = _saved_twin(resume, predictor, ship, model)
+    else:
+        boat = particulars_for_log(path, ship, mapping)
+        check_simulator(name, log, boat)
+        boat = boat if own_prior else dataclasses.replace(boat, prior=None)
+        options: dict[str, Any] = {} if model is None else {"model": model}
+        twin = Twin(boat, name, **options)
+    unused = prior_note(twin.predictor, str(twin.name))
+    log = dataclasses.replace(
+        log.without_truth(), notes=(*log.notes, *([unused] if unused else ()))
+    )
+    twin.locate(log.datum)
+    if until is not None:
+        if not math.isfinite(until):
+            raise TwinError(f"until = {until}: must be a finite time in s")
+        log = log.slice(-math.inf, math.nextafter(until, math.inf))
+        if len(log) == 0:
+            raise TwinError(f"until = {until:g}: {path} has no row before it")
+    if resume is not None and not math.isnan(twin.t):
+        log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
+        if len(log) == 0:
+            raise TwinError(
+                f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
+                "give the log that continues from there"
+            )
+    return log, twin
+
+
+def _saved_twin(
+    path: str | Path, predictor: str | None, ship: str | None, model: str | None
+) -> Twin:
+    """Load a saved twin, and refuse options that would contradict it."""
+    twin = Twin.load(path)
+    given = {"predictor": predictor, "ship": ship, "model": model}
+    for option, value in given.items():
+        if value is not None and not (option == "predictor" and value == twin.name):
+            raise TwinError(
+                f"{option} = {value}: {path} holds a twin of {twin.particulars.name} by "
+                f"{twin.name}, which goes on; leave the option out"
+            )
+    return twin
+
+
 _NO_PARTICULARS = (
     "{path}: no particulars of the boat. This writes them, as far as the log shows them: "
-    "usv-twin log check {options} --write {file}. Then fill in length, beam, draft and mass there. "
+    "usv-twin check {options} --write {file}. Then fill in length, beam, draft and mass there. "
     "Or name the boat with --ship FILE or --ship NAME ({names})"
 )
 

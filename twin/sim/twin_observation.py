@@ -199,7 +199,8 @@ class Boats(NamedTuple):
     notes: Any  # see NOTE
     shared: Any  # see usv_gym.envs.episodes.EPISODES
     settings: Any  # see SETTINGS
-    motions: Any  # (n, size of MOTION), or (n, 0) with three degrees of freedom
+    # None with three degrees of freedom
+    motions: Any  # (n, size of MOTION)
     motion_settings: Any  # see MOTION_SETTINGS
     motion_work: Any  # see MOTION_WORK
 
@@ -274,23 +275,26 @@ def _check_row(dt, boat, note, nav, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
     state = nav.n[:N_STATES]
-    check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
+    check_sensors(dt, note.z[:], boat.reported[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = health.motion_doubted
     if health.switched > 0.0:
         ask_to_begin_again(health.restart, nav)
     for k in range(N_ACT):
         note.trusted[k] = (
-            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
+            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.reported[k]
         )
 
 
 @inlined
-def _take_motion(dt, i, boat, note, nav, boats):
-    """Take roll, pitch and heave from a row, and make it that of an upright boat."""
-    if boats.motions.shape[1] == 0:
+def _take_motion(dt, i, boat, note, nav, boats, motions):
+    """Take roll, pitch and heave from a row, and make it that of an upright boat.
+
+    Without motions nothing of it is compiled.
+    """
+    if motions is None:
         return
-    memory, work = as_record(boats.motions[i], MOTION), as_record(boats.motion_work, MOTION_WORK)
+    memory, work = as_record(motions[i], MOTION), as_record(boats.motion_work, MOTION_WORK)
     given = as_record(boats.motion_settings, MOTION_SETTINGS)
     state, ready = nav.n[:N_STATES], nav.begun > 0.0
     take_motion_row(note.last, dt, note.z[:], state, ready, memory, given, work)
@@ -358,10 +362,12 @@ def describe_motion(s, note, memory, given, work, obs):
 
 
 @inlined
-def _show_motion(i, s, note, boats, first, obs):
+def _show_motion(i, s, note, boats, motions, first, obs):
     """Write the entries of roll, pitch and heave of a boat, if they are wanted."""
+    if motions is None:
+        return
     if as_record(boats.settings, SETTINGS).show_motion > 0.0:
-        memory = as_record(boats.motions[i], MOTION)
+        memory = as_record(motions[i], MOTION)
         work = as_record(boats.motion_work, MOTION_WORK)
         given = as_record(boats.motion_settings, MOTION_SETTINGS)
         describe_motion(s, note, memory, given, work, obs[first + len(TWIN_OBSERVATION) :])
@@ -495,7 +501,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
-            _take_motion(dt, i, boat, note, nav, boats)
+            _take_motion(dt, i, boat, note, nav, boats, motions)
             _check_row(dt, boat, note, nav, settings.health)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
@@ -532,7 +538,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
             none = shaped(state.x, 0, (1, 0, 3))
             start = state.x, none, none
             keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
-        _show_motion(i, state.x, note, boats, first, obs[i])
+        _show_motion(i, state.x, note, boats, motions, first, obs[i])
 
 
 _DRAWN_ROWS = HORIZON_ROWS + 1
@@ -563,7 +569,7 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
-            _take_motion(dt, i, boat, note, nav, boats)
+            _take_motion(dt, i, boat, note, nav, boats, motions)
             _check_row(dt, boat, note, nav, settings.health)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
@@ -592,4 +598,4 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         if settings.grading > 0.0 and nav.begun > 0.0:
             start = mean.start[0], mean.means, mean.ends
             keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
-        _show_motion(i, state.x, note, boats, first, obs[i])
+        _show_motion(i, state.x, note, boats, motions, first, obs[i])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,3 +69,7 @@ class UnseenTwins(Observer):
     def infos(self) -> dict[str, np.ndarray]:
         """See :class:`Observer`."""
         return self.twins.infos()
+
+    def first_infos(self) -> dict[str, Any]:
+        """See :class:`Observer`."""
+        return self.twins.first_infos()

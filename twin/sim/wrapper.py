@@ -187,8 +187,7 @@ class TwinObservation(
         whole = np.empty(self.observation_space.shape or (), np.float32)
         whole[: len(obs)] = obs
         self._observer.observe(whole[None])
-        for name, values in self._observer.infos().items():
-            info[name] = values.item(0)
+        info |= self._observer.first_infos()
         if self._renderer:
             self._renderer.look()
         return whole

@@ -117,8 +117,9 @@ class EnvConfig:
     faults : str or sequence of Disturbance
         ``"none"``, ``"on"`` (everything, again and again), a text, or faults with their times.
         Texts are such as ``"gps10"`` (10 s without GPS, beginning at random between 10 and 60 s) or
-        ``"gps10@30+imu-spikes-random"``, see :func:`usv_gym.world.faults.parse_faults`. Of several
-        texts, as in ``"none|gps10|gps30"``, each episode draws one.
+        ``"gps-jump=20:10@30+imu-spikes-random"``, see
+        :func:`usv_gym.world.faults.parse_faults`. Of several texts, as in ``"none|gps10|gps30"``,
+        each episode draws one.
     task : str or type
         One of :data:`usv_gym.envs.tasks.TASKS`, ``module:Class`` of a task of your own, or its
         class: see :class:`usv_gym.envs.tasks.Task`.

@@ -30,6 +30,8 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
 
 _TERMS_END = _TERMS + N_TERMS
 
+_FLOAT32 = np.dtype(np.float32)
+
 
 class Recorded(NamedTuple):
     """What a step leaves in a log."""
@@ -77,7 +79,7 @@ class Recorder:
     def _add(self, boats: list[int]) -> None:
         sim = self.simulation
         for i in boats:
-            now = sim.t.item(i), sim.cmd[i].copy(), sim.z[i].copy(), sim.state[i].copy()
+            now = sim.t.item(i), sim.reported[i].copy(), sim.z[i].copy(), sim.state[i].copy()
             self.rows[i].append(Recorded(*now))
 
 
@@ -309,7 +311,9 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
-            values = np.asarray(action, dtype=np.float64)
+            values = np.asarray(action)
+            if values.dtype is not _FLOAT32:
+                values = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError):
             raise UsvTwinError(f"action {action!r} is not an array of numbers") from None
         if values.shape != self._shape:
@@ -323,7 +327,8 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
             raise UsvTwinError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
-        self._show()
+        if self.renderer:
+            self._show()
         progress = self._progress.tolist()
         terminated = progress[_TERMINATED] != 0.0
         return self._shown(obs), progress[_REWARD], terminated, False, self._info(progress)
@@ -356,8 +361,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
             "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=False)),
         }
         if self.observer:
-            for name, values in self.observer.infos().items():
-                info[name] = values.item(0)
+            info |= self.observer.first_infos()
         return info
 
 

@@ -116,6 +116,9 @@ WIND_SCALE = 10.0
 
 _GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, WIND_AT - 2
 
+_AGE_OF = (GPS_X, COMPASS, GYRO, _AHRS_ROLL, WIND_AT)
+"""Channels whose samples the ages of GPS, compass, IMU, AHRS and anemometer count from."""
+
 EPISODE = np.dtype(
     [
         ("task", TASK),
@@ -161,31 +164,12 @@ def _hold(boat, episode, points, config):
     z, held, age, errors = boat.measurement, episode.held, episode.age, episode.known_errors
     for j in range(age.shape[0]):
         age[j] += config.simulation.dt
-    if math.isfinite(z[GPS_X]):
-        age[0] = 0.0
-        for j in range(COMPASS):
+    for j in range(z.shape[0]):
+        if math.isfinite(z[j]):
             held[j] = z[j]
-    if math.isfinite(z[COMPASS]):
-        age[1] = 0.0
-        held[COMPASS] = z[COMPASS]
-    if math.isfinite(z[GYRO]):
-        age[2] = 0.0
-        for j in range(GYRO, _GYRO_X):
-            held[j] = z[j]
-    if config.simulation.dof == 6:
-        if math.isfinite(z[_GYRO_X]):
-            for j in range(_GYRO_X, _AHRS_ROLL):
-                held[j] = z[j]
-        if math.isfinite(z[_AHRS_ROLL]):
-            age[3] = 0.0
-            for j in range(_AHRS_ROLL, _GPS_Z):
-                held[j] = z[j]
-        if math.isfinite(z[_GPS_Z]):
-            for j in range(_GPS_Z, WIND_AT):
-                held[j] = z[j]
-    if config.wind_at > 0.0 and math.isfinite(z[WIND_AT]):
-        age[4] = 0.0
-        held[WIND_AT], held[WIND_AT + 1] = z[WIND_AT], z[WIND_AT + 1]
+    for k in range(age.shape[0]):
+        if math.isfinite(z[_AGE_OF[k]]):
+            age[k] = 0.0
     leg, reach = int(episode.task.known_leg), config.rules.reach
     leg = follow(held[GPS_X], held[GPS_Y], held[COMPASS], points, leg, reach, errors)
     episode.task.known_leg = leg
@@ -496,15 +480,16 @@ class Episodes:
         bool
             False, with nothing done, if an action is no number.
         """
-        watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
-        if len(self.blocks) > 1 and not self._own and len(watching) == len(callbacks):
-            return self._step_blocks(obs, self._countdown, watching)
+        if len(self.blocks) > 1 and not self._own:
+            watching = [one for one in callbacks if isinstance(one, Observer) and one.by_block]
+            if len(watching) == len(callbacks):
+                return self._step_blocks(obs, self._countdown, watching)
         for left in self._countdown:
-            before, active = self._before_step() if self._own else (None, None)
+            before = self._before_step() if self._own else None
             if not self._step(obs, left):
                 return False
-            if before is not None and active is not None:
-                self._score(before, active, left)
+            if before:
+                self._score(*before, left)
             for callback in callbacks:
                 callback.observe(obs, left == 0)
         return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,3 +69,7 @@ class Observer(ABC):
     def infos(self) -> dict[str, np.ndarray]:
         """Return what infos gain, arrays (n,)."""
         return {}
+
+    def first_infos(self) -> dict[str, Any]:
+        """Return what the infos of the first boat gain: the numbers of :meth:`infos`."""
+        return {name: values.item(0) for name, values in self.infos().items()}

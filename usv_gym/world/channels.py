@@ -1,4 +1,4 @@
-"""The bits and columns of the sensors in the rows of ``usv_kernel.channels``."""
+"""The bits of sensors and commands in a row, and the columns of the sensors."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ __all__ = [
     "AHRS_BIT",
     "AXIS_BITS",
     "BITS",
+    "COMMANDS_BIT",
     "COMPASS",
     "COMPASS_BIT",
+    "FIXES_BIT",
     "GPS",
     "GPS_BIT",
     "IMU",
     "IMU_BIT",
+    "LEFT_BIT",
+    "RIGHT_BIT",
+    "STEERING_BIT",
+    "VELOCITY_BIT",
     "WIND_BIT",
 ]
 
@@ -29,13 +35,26 @@ AXIS_BITS = {
 }
 """Bit of each axis of the IMU alone."""
 
+FIXES_BIT, VELOCITY_BIT = 2048, 4096
+"""Bits of the position and of the velocity of the GPS alone."""
+
+COMMANDS_BIT, STEERING_BIT = 8192, 16384
+"""Bits of the commands as they are reported, and of the angles among them alone."""
+
+LEFT_BIT, RIGHT_BIT = 32768, 65536
+"""Bits of the thrusters of the boat."""
+
 _AXES = {name: IMU_BIT | bit for name, bit in AXIS_BITS.items()}
 
+_FIX, _VELOCITY = GPS_BIT | FIXES_BIT, GPS_BIT | VELOCITY_BIT
+_ANGLE = COMMANDS_BIT | STEERING_BIT
+
 BITS = (
-    *(GPS_BIT, GPS_BIT, GPS_BIT, GPS_BIT, COMPASS_BIT),
+    *(_FIX, _FIX, _VELOCITY, _VELOCITY, COMPASS_BIT),
     *(_AXES["gyro_z"], _AXES["accel_x"], _AXES["accel_y"]),
-    *(_AXES["gyro_x"], _AXES["gyro_y"], _AXES["accel_z"], AHRS_BIT, AHRS_BIT, GPS_BIT, GPS_BIT),
+    *(_AXES["gyro_x"], _AXES["gyro_y"], _AXES["accel_z"], AHRS_BIT, AHRS_BIT, _FIX, _VELOCITY),
     *(WIND_BIT, WIND_BIT),
+    *(COMMANDS_BIT, COMMANDS_BIT, _ANGLE, _ANGLE),
 )
-"""Bits of each of SENSOR_CHANNELS, of MOTION_CHANNELS, and of WIND_CHANNELS: that of the sensor
-and, of an IMU, that of the axis."""
+"""Bits of each of SENSOR_CHANNELS, of MOTION_CHANNELS, of WIND_CHANNELS and of the four commands:
+that of the sensor and that of the part of it alone, an axis of the IMU or half of the GPS."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
-from usv_gym.world.faults import CHANNELS, strike
+from usv_gym.world.faults import STRUCK
 from usv_gym.world.sampling import drift, is_due
 from usv_gym.world.sensor_suite import GRADES, SUITE, SensorSuite
 from usv_kernel.channels import (
@@ -109,7 +109,11 @@ SENSORS = np.dtype(
         ("wind_bias", float),  # m/s
         ("wind_from_bias", float),  # rad
         ("wind", float, 2),  # apparent wind of this step before any fault, m/s and rad
-        ("last", float, CHANNELS),  # last sample of each channel, NaN before the first
+        (
+            "last",
+            float,
+            STRUCK,
+        ),  # what was handed out last, NaN before the first; see faults.strike
     ]
 )
 """What the sensors of one boat remember."""
@@ -167,10 +171,9 @@ def measure(
     suite: Record,
     numbers: np.ndarray,
     motion_numbers: np.ndarray,
-    faults: np.ndarray,
     delay_line: np.ndarray,
 ) -> None:
-    """Write what the sensors of a boat say now.
+    """Write what the sensors of a boat say now, without faults.
 
     The IMU measures specific force where it sits, along its own axes. Gravity leaks into the
     horizontal ones with roll and pitch: with a = nu' + omega x nu of the origin,
@@ -191,8 +194,6 @@ def measure(
         Random numbers of this step, :data:`NOISE`.
     motion_numbers : ndarray, shape (13,) or (0,)
         :data:`MOTION_NOISE`; none with three degrees of freedom, whose boats have no such sensors.
-    faults : ndarray of :data:`FAULT`, shape (F,)
-        See :func:`fault_records`; advanced in place.
     delay_line : ndarray, shape (D, 15)
         :data:`DELAY_LINE` of the past steps, one more than the longest latency; advanced in place.
     """
@@ -243,8 +244,6 @@ def measure(
     if suite.wind_share > 0.0:
         for i in range(2):
             z[WIND_AT + i] = sensors.wind[i]
-    if faults.shape[0] > 0:
-        strike(boat.t, faults, sensors.last, boat.measurement)
 
 
 @inlined

@@ -16,12 +16,20 @@ from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_wo
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import BoatClass, Vessel
 from usv_gym.world import anemometer, sensors
-from usv_gym.world.faults import FAULT, Disturbance
+from usv_gym.world.faults import CHANNELS, FAULT, STRUCK, Disturbance, drive, strike
 from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.start import SEA, DriftTable, FaultSets, draw_start, is_compiled, sea_record
-from usv_gym.world.state import BOAT, SIMULATION, VESSEL, WORLD, sea_arrays, sensor_arrays
+from usv_gym.world.state import (
+    BOAT,
+    SIMULATION,
+    VESSEL,
+    WORLD,
+    fault_arrays,
+    sea_arrays,
+    sensor_arrays,
+)
 from usv_gym.world.streams import NOISE_STREAMS, Streams, spawned
 from usv_kernel.arrays import alloca_f64, shaped, take
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
@@ -104,7 +112,8 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     boat = as_record(row, BOAT)
     waves, gusts, loads = sea_arrays(row, config)
     sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
-    faults, delay_line, wind_line = sensor_arrays(row, config)
+    arrays, drives = (*fault_arrays(row, config), *sensor_arrays(row, config)), alloca_f64(4)
+    drive(boat.command, arrays[0], drives)
     vessel = ship.Ship(boat.vessel, config.dof)
     h = config.dt / config.substeps
     step = int(boat.step) + 1
@@ -113,12 +122,12 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     mean, rate = boat.mean_rate, boat.work[0]
     mean[:] = 0.0
     for j in range(config.substeps):
-        ship.step(boat.state, boat.command, vessel, sea, boat.t + j * h, h, boat.work)
+        ship.step(boat.state, drives, vessel, sea, boat.t + j * h, h, boat.work)
         for i in range(fr.STATE_SIZE):
             mean[i] += rate[i] / config.substeps
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
-    _measure(config.dt, boat, config, noise, faults, gusts, (delay_line, wind_line))
+    _measure(config.dt, boat, config, noise, gusts, arrays)
     sound = True
     for i in range(fr.STATE_SIZE):
         sound = sound and abs(boat.state[i]) < STATE_MAX
@@ -152,12 +161,32 @@ def _draw_noise(streams, config, numbers):
 
 
 @inlined
-def _measure(dt, boat, config, noise, faults, gusts, lines):
-    """Let the sensors measure."""
+def _measure(dt, boat, config, noise, gusts, arrays):
+    """Let the sensors measure, and report the command; then faults strike both."""
+    faults, memory, delay_line, wind_line = arrays
     if noise.wind.shape[0] > 0:
         air = wx.air_velocity(boat.t, gusts, boat.weather)
-        anemometer.measure_wind(boat, air, config.suite, noise.wind, lines[1])
-    sensors.measure(boat, dt, config.suite, noise.sensors, noise.motion, faults, lines[0])
+        anemometer.measure_wind(boat, air, config.suite, noise.wind, wind_line)
+    sensors.measure(boat, dt, config.suite, noise.sensors, noise.motion, delay_line)
+    for k in range(fr.COMMAND_SIZE):
+        boat.reported[k] = boat.command[k]
+    if faults.shape[0] > 0:
+        _strike(boat, faults, memory)
+
+
+@kernel
+def _strike(boat, faults, memory):
+    """Apply the faults to what the sensors say and what is reported."""
+    z = alloca_f64(STRUCK)
+    for j in range(CHANNELS):
+        z[j] = boat.measurement[j]
+    for k in range(fr.COMMAND_SIZE):
+        z[CHANNELS + k] = boat.reported[k]
+    strike(boat.t, int(boat.step), faults, boat.sensors.last, memory, z)
+    for j in range(CHANNELS):
+        boat.measurement[j] = z[j]
+    for k in range(fr.COMMAND_SIZE):
+        boat.reported[k] = z[CHANNELS + k]
 
 
 @kernel
@@ -179,7 +208,7 @@ def _start(
     degrees of freedom it is set on the surface of its sea.
     """
     boat, config = as_record(row, BOAT), as_record(shared, SIMULATION)
-    faults, delay_line, wind_line = sensor_arrays(row, config)
+    arrays = (*fault_arrays(row, config), *sensor_arrays(row, config))
     for i in range(boat.streams.shape[0]):
         start_stream(states[i], boat.streams[i])
     boat.t = boat.step = 0.0
@@ -193,8 +222,8 @@ def _start(
     state[fr.N_LEFT] = state[fr.N_RIGHT] = begin.shaft_speed
     for i in range(fr.COMMAND_SIZE):
         boat.command[i] = state[fr.N_LEFT + i]
-    delay_line[:] = 0.0
-    wind_line[:] = 0.0
+    arrays[2][:] = 0.0
+    arrays[3][:] = 0.0
     if config.dof == 6:
         float_on_sea(row, config, factors)
     noise = _draw_noise(boat.streams, config, alloca_f64(_NUMBERS))
@@ -205,7 +234,7 @@ def _start(
     if noise.wind.shape[0] > 0:
         anemometer.start_wind(config.suite, noise.wind, boat.sensors)
     gusts = shaped(row, config.gusts_at, (3, config.gust_components))
-    _measure(0.0, boat, config, noise, faults, gusts, (delay_line, wind_line))
+    _measure(0.0, boat, config, noise, gusts, arrays)
 
 
 @kernel
@@ -239,7 +268,8 @@ class Simulation:
     suite : str or SensorSuite, optional
         Errors and rates of the sensors.
     faults : sequence of Disturbance or FaultSets
-        Faults of sensors: the same for every boat, or sets of which one is drawn at each reset.
+        Faults of sensors, commands and thrusters: the same for every boat, or sets of which one is
+        drawn at each reset.
     kinds : sequence of BoatClass, optional
         Kinds of boats, of which ``vessel`` is the first, see ``worlds``.
     dof : int
@@ -261,6 +291,8 @@ class Simulation:
         freedom, those of the wind without an anemometer.
     cmd : ndarray, shape (n, 4)
         Command of the last step.
+    reported : ndarray, shape (n, 4)
+        The same as a twin is told of it: with faults of the commands.
     t : ndarray, shape (n,)
         Time since reset, s.
     faults : ndarray of FAULT, shape (n, F)
@@ -324,6 +356,7 @@ class Simulation:
             "gusts": max(example.gusts.shape for example in examples),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
             "faults": (faults.most, record_size(FAULT)),
+            "fault_memory": (faults.memory_rows(dt), 1 + STRUCK),
             "delay_line": (self.suite.delay_rows(dt), sensors.DELAYED),
             "wind_line": (suite.wind_rows(dt), anemometer.WIND_ROWS),
         }
@@ -340,6 +373,7 @@ class Simulation:
         self.faults = parts["faults"].view(FAULT)[..., 0]
         self.boats = structured(self.rows, BOAT)
         self.state, self.cmd = self.boats["state"], self.boats["command"]
+        self.reported = self.boats["reported"]
         self.z, self.weather, self.t = (
             self.boats["measurement"],
             self.boats["weather"],
@@ -358,6 +392,7 @@ class Simulation:
         config["load_headings"] = shapes["loads"][0]
         config["wind_rows"] = shapes["wind_line"][0]
         config["fault_count"], config["delay_rows"] = faults.most, shapes["delay_line"][0]
+        config["fault_memory_rows"] = shapes["fault_memory"][0]
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
         """Scratch of the kernels that advance boats; threads need copies."""

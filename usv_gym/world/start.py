@@ -25,6 +25,7 @@ from usv_gym.world.faults import (
     fault_keys,
     fault_records,
     fault_text,
+    memory_rows,
     start_streams,
 )
 from usv_gym.world.realisation import (
@@ -152,6 +153,10 @@ class FaultSets:
             return fixed
         pairs = zip(self.sets[number], self.moving[number], strict=True)
         return "+".join(fault_text(fault, start if moves else None) for fault, moves in pairs)
+
+    def memory_rows(self, dt: float) -> int:
+        """Return how many rows they must remember, with control steps of dt s."""
+        return max((memory_rows(one, dt) for one in self.sets), default=0)
 
     def arrays(self, dt: float) -> tuple[NDArray[Any], ...]:
         """Return what :func:`draw_start` takes, with control steps of dt s.

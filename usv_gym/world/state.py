@@ -1,8 +1,9 @@
 """What lasts of one simulated boat, and what all boats of a simulation share.
 
-A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, faults and
-the delay lines of the sensors. Their sizes depend on sea, faults and delay. One array a call keeps
-the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts names.
+A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, faults, what
+these remember, and the delay lines of the sensors. Their sizes depend on sea, faults and delay. One
+array a call keeps the kernels quick; :func:`sea_arrays`, :func:`fault_arrays` and
+:func:`sensor_arrays` give its parts names.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from usv_gym.physics.waves import LOAD_ROWS, OMEGA, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
 from usv_gym.vessel.variation import FACTORS
 from usv_gym.world.anemometer import WIND_ROWS
-from usv_gym.world.faults import CHANNELS, FAULT
+from usv_gym.world.faults import CHANNELS, FAULT, STRUCK
 from usv_gym.world.sensors import DELAYED, SENSORS, SUITE
 from usv_gym.world.streams import NOISE_STREAMS
 from usv_kernel.arrays import shaped
@@ -24,7 +25,15 @@ from usv_kernel.jit import inlined
 from usv_kernel.random import STREAM
 from usv_kernel.records import Record, as_records, field_at, record_size
 
-__all__ = ["BOAT", "SIMULATION", "VESSEL", "WORLD", "sea_arrays", "sensor_arrays"]
+__all__ = [
+    "BOAT",
+    "SIMULATION",
+    "VESSEL",
+    "WORLD",
+    "fault_arrays",
+    "sea_arrays",
+    "sensor_arrays",
+]
 
 BOAT = np.dtype(
     [
@@ -32,6 +41,8 @@ BOAT = np.dtype(
         ("command", float, fr.COMMAND_SIZE),  # n_left, n_right (rev/s), delta_left, right (rad)
         # of the last step, SENSOR_CHANNELS, MOTION_CHANNELS, WIND_CHANNELS; NaN: no new sample
         ("measurement", float, CHANNELS),
+        # the command as it is reported, with faults
+        ("reported", float, fr.COMMAND_SIZE),
         ("sensors", SENSORS),  # biases and last samples
         ("weather", WEATHER),  # wind, current, schedule
         ("t", float),  # s, since the reset
@@ -81,6 +92,8 @@ SIMULATION = np.dtype(
         ("gust_components", int),
         ("faults_at", int),
         ("fault_count", int),
+        ("fault_memory_at", int),  # sound rows of the past, for faults of delay
+        ("fault_memory_rows", int),
         ("delay_line_at", int),
         ("delay_rows", int),
         ("wind_line_at", int),  # the delay line of the anemometer
@@ -103,9 +116,16 @@ def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray,
 
 
 @inlined
-def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return faults (F,), and delay lines of the sensors (D, 15) and of the wind (K, 2)."""
+def fault_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return faults (F,), and what they remember of past rows (M, 22)."""
     faults = as_records(row, config.faults_at, config.fault_count, FAULT)
+    memory = shaped(row, config.fault_memory_at, (config.fault_memory_rows, 1 + STRUCK))
+    return faults, memory
+
+
+@inlined
+def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delay lines of the sensors (D, 15) and of the wind (K, 2)."""
     delay_line = shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))
     wind_line = shaped(row, config.wind_line_at, (config.wind_rows, WIND_ROWS))
-    return faults, delay_line, wind_line
+    return delay_line, wind_line

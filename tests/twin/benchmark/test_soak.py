@@ -5,16 +5,17 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
+from collections import Counter
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from tests.twin.live.wire import disturbed, example
 from twin import PREDICTORS, Twin, known_plan
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.digital_twin import TwinError
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import LinkImpairment, NmeaStream, schedule
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.envs.episodes import BOUND, CapsizeWarning
@@ -138,7 +139,7 @@ def test_random_steps_with_all_faults_are_finite(vessel, dof):
 
 @pytest.mark.slow
 def test_a_feed_over_a_poor_link_is_twinned():
-    """A quarter of an hour of NMEA with all faults of sensors; 8 % of the datagrams are spoilt."""
+    """A quarter of an hour of NMEA with all faults of sensors; a fifth of it is spoilt."""
     log = simulate(
         "random",
         vessel=BOAT,
@@ -147,10 +148,10 @@ def test_a_feed_over_a_poor_link_is_twinned():
         seed=2,
         faults=parse_faults("on", 0.0),
     )
-    link = LinkImpairment(late=0.02, doubled=0.02, swapped=0.02, broken=0.02)
+    sent = example.schedule(log, example.NmeaStream((63.43, 10.4), 1.7e9))
     twin, now, rows, off = Twin(particulars_of(BOAT), "ukf", seed=2), 0.0, 0, []
     with NmeaFeed(None, particulars_of(BOAT), clock=lambda: now) as feed:
-        for datagram in schedule(log, NmeaStream((63.43, 10.4), 1.7e9), disturb=link, seed=2):
+        for datagram in disturbed(sent, np.random.default_rng(2), Counter()):
             now = max(now, datagram.due)
             feed.receive(datagram.data, now, ("127.0.0.1", 9))
             for t, z, cmd in feed.take():

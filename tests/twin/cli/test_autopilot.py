@@ -37,7 +37,7 @@ def test_sitl_writes_a_log_with_the_truth_for_each_run(
 ) -> None:
     """An autopilot sails, stops, and another one begins again."""
     port, served = free_port(), []
-    monkeypatch.setattr("twin.cli.interfaces.sitl.port_of", lambda instance: port)
+    monkeypatch.setattr("twin.cli.sitl.port_of", lambda instance: port)
     opened = threading.Event()
 
     class Watched(Server):
@@ -46,7 +46,7 @@ def test_sitl_writes_a_log_with_the_truth_for_each_run(
             served.append(self)
             opened.set()
 
-    monkeypatch.setattr("twin.cli.interfaces.sitl.Server", Watched)
+    monkeypatch.setattr("twin.cli.sitl.Server", Watched)
 
     def sail() -> None:
         opened.wait(60.0)
@@ -92,7 +92,7 @@ def test_sitl_writes_a_log_with_the_truth_for_each_run(
         (("sitl", "usv75", "--twin", "oracle"), "sea is not known"),
         (("sitl", "bismarck"), "no vessel is called"),
         (("link", "--external", "off"), "view --mavlink"),
-        (("link", "serial:/dev/ttyS0"), "only udp://"),
+        (("link", "serial:/dev/ttyS0"), "write udp://"),
     ],
 )
 def test_what_cannot_be_done_is_reported(arguments: tuple[str, ...], words: str) -> None:

@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.benchmark.protocol import Case, Settings, left_out
-from twin.cli import benchmark, view
-from twin.cli.interfaces import sitl
+from twin.cli import benchmark, sitl, view
 from twin.cli.main import app
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from usv_gym.design.seaway import warning_of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -84,18 +83,6 @@ def check_sound(fusion: LateFusion) -> None:
 
 def rms(out: np.ndarray, s: np.ndarray, start: int = 0) -> np.ndarray:
     return np.sqrt(np.mean((out - s)[start:] ** 2, axis=0))
-
-
-def test_fuse_equals_a_sum_by_hand() -> None:
-    phi, K, W = fuse(
-        np.array([1.0, 10.0]),
-        np.diag([1.0, 4.0]),
-        np.array([3.0, 20.0]),
-        np.diag([3.0, 1.0]),
-    )
-    np.testing.assert_allclose(W, np.diag([0.75, 0.2]))
-    np.testing.assert_allclose(phi, [1.5, 18.0])
-    np.testing.assert_allclose(K, np.diag([0.75, 0.8]))
 
 
 def test_fuse_is_the_inverse_covariance_formula() -> None:
@@ -212,16 +199,6 @@ def test_a_fix_without_compass_is_not_ready() -> None:
     np.testing.assert_allclose(s[2:5], [math.pi / 2.0, 2.0, -1.0], atol=0.1)
 
 
-def test_reset_is_a_fresh_start() -> None:
-    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
-    _, z = measured(np.random.default_rng(0), 100, instruments)
-    fusion = LateFusion(instruments, LENGTH)
-    first = run(fusion, z)
-    fusion.reset()
-    assert not fusion.ready
-    np.testing.assert_array_equal(run(fusion, z), first)
-
-
 def test_gps_loss_of_a_minute_stays_within_bounds() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(3), 2400, instruments)
@@ -315,18 +292,6 @@ def test_late_fusion_takes_irregular_steps() -> None:
     assert (error[3:5] < 0.4).all()
 
 
-def test_matrices_are_kept_while_dt_stays() -> None:
-    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
-    _, z = measured(np.random.default_rng(0), 5, Instruments(gps_sd=1.0, gps_bias_sd=0.0))
-    fusion.update(DT, z[0])
-    fusion.update(DT, z[1])
-    kept = fusion._gps_Q
-    fusion.update(DT + 1e-12, z[2])
-    assert fusion._gps_Q is kept
-    fusion.update(2.0 * DT, z[3])
-    assert fusion._gps_Q is not kept
-
-
 @pytest.mark.parametrize("length", [1.0, 7.5, 300.0])
 def test_two_hours_of_loss_leave_sound_covariances(length: float) -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
@@ -377,27 +342,6 @@ def test_covariance_is_that_of_the_body_velocities() -> None:
     np.testing.assert_allclose(
         fusion.covariance[3:5, 3:5], np.cov(u, v), rtol=0.03, atol=0.02 * u.var()
     )
-
-
-def test_refuses_what_it_cannot_use() -> None:
-    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
-    z = np.zeros(len(MEASUREMENTS))
-    for dt in (-0.1, math.nan, math.inf):
-        with pytest.raises(ValueError, match="dt"):
-            fusion.update(dt, z)
-    with pytest.raises(ValueError, match="shape"):
-        fusion.update(DT, z[:8])
-    unusable: list[dict[str, Any]] = [
-        {"length": 0.0},
-        {"jerk": -1.0},
-        {"yaw": math.nan},
-        {"hold": 0.0},
-    ]
-    for bad in unusable:
-        with pytest.raises(ValueError, match=next(iter(bad))):
-            LateFusion(
-                **{"instruments": Instruments(gps_sd=1.0, gps_bias_sd=0.0), "length": LENGTH, **bad}
-            )
 
 
 @settings(max_examples=40, deadline=None)

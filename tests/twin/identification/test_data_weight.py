@@ -1,24 +1,13 @@
 """Refits of unequal trust: their forecasts decide which is in use."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from twin.identification.data_weight import (
-    ALARM,
-    CANDIDATES,
-    CHOSEN,
     ENOUGH,
-    MARGINS,
-    PRIOR,
-    SETTLED,
-    SHORT,
     TRUSTS,
-    TURN,
     TrustSelector,
     forecast_error,
-    proved,
 )
 from twin.identification.prediction_error import (
     ACT,
@@ -158,74 +147,3 @@ def test_a_good_prior_is_kept_in_noise(structure):
     assert selector.scored >= ENOUGH
     assert selector.chosen == 0
     assert (selector.errors[:, 0] < selector.errors[:, 2]).all()
-
-
-def test_forecasts_are_scored_with_the_parameters_of_their_start(structure):
-    rows = window(structure, structure.mean, np.random.default_rng(4))
-    selector = TrustSelector(segments(structure, structure.mean))
-    selector.note([SPACING])
-    before = selector.params.copy()
-    selector.params += structure.sd  # learned later
-    selector.note([SPACING])
-    selector.score(SPACING, rows)
-    late = selector.errors.copy()
-    selector.reset()
-    selector.params[:] = before
-    selector.note([SPACING])
-    selector.score(SPACING, rows)
-    np.testing.assert_array_equal(late, selector.errors)
-
-
-def test_reset_forgets(structure):
-    rows = window(structure, structure.mean, np.random.default_rng(5), noise=0.5)
-    selector = TrustSelector(segments(structure, structure.mean))
-    run(structure, selector, rows)
-    selector.reset()
-    fresh = TrustSelector(segments(structure, structure.mean))
-    np.testing.assert_array_equal(selector.memory, fresh.memory)
-    assert (selector.scored, selector.chosen) == (0, 0)
-
-
-def test_the_candidate_in_use_has_a_name(structure):
-    selector = TrustSelector(segments(structure, structure.mean))
-    assert selector.uses_prior and selector.best_refit() is None
-    assert selector.name == "the prior, as there is too little usable data for a refit"
-    selector.state.count[TURN] = 1.0
-    names = []
-    for candidate in range(CANDIDATES):
-        selector.state.count[CHOSEN] = candidate
-        assert selector.uses_prior == (candidate == PRIOR)
-        names.append(selector.name)
-    assert len(set(names)) == CANDIDATES
-    assert names[0] == "the refit to the last 110 s, data weight 1"
-    assert names[SHORT] == "the refit to the last 35 s, data weight 1"
-    assert names[PRIOR] == "the prior, as no refit forecasts better"
-
-
-def test_the_best_refit_has_the_covariance_of_its_factor(structure):
-    rows = window(structure, structure.mean, np.random.default_rng(5), noise=0.5)
-    selector = TrustSelector(segments(structure, structure.mean))
-    run(structure, selector, rows)
-    assert selector.chosen == 0
-    mean, sd = selector.best_refit()
-    np.testing.assert_array_equal(mean, selector.params[0])
-    np.testing.assert_allclose(sd, np.sqrt(np.diag(selector.segments.cov)), rtol=1e-6)
-    selector.state.count[CHOSEN] = PRIOR
-    np.testing.assert_array_equal(selector.best_refit()[0], mean)
-
-
-def test_a_change_found_just_now_is_not_gone_on_with(structure):
-    selector = TrustSelector(segments(structure, structure.mean))
-    state, settled = selector.state, round(SETTLED / GRID)
-    state.count[ALARM], state.count[CHOSEN] = 1000.0, SHORT
-    assert proved(1000 + settled, state) == 0
-    assert proved(1001 + settled, state) == SHORT
-    state.errors[1, 2] = state.errors[1, 0] - 1.1 * MARGINS[1]
-    assert proved(1000, state) == 2
-    state.count[CHOSEN] = 1
-    assert proved(1000, state) == 1
-
-
-def test_settings_are_those_of_the_boat():
-    half = refit_settings(dataclasses.replace(PARTICULARS, length=0.5 * PARTICULARS.length))
-    assert half.sd[0] == pytest.approx(0.5 * SETTINGS.sd[0])

@@ -13,7 +13,6 @@ from twin.identification.interval_scale import (
     factor_ahead,
 )
 from twin.model.dynamics import model_of
-from twin.model.rollout import GRID
 from usv_kernel.jit import kernel
 
 
@@ -103,8 +102,3 @@ def test_a_change_of_the_boat_widens_the_intervals_again_within_five_segments(st
         )
     assert before < 0.8
     assert factor_of(7.0, 0, record, config) == 1.0
-
-
-def test_the_spacing_of_the_points_covers_a_segment(structure):
-    own = segments(structure, structure.mean)
-    assert own.steps * GRID == pytest.approx(7.0)

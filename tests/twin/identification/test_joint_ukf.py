@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-
 import numpy as np
 import pytest
 
 from twin import Particulars, Twin
-from twin.identification.filter_settings import FilterError, plain_settings
 from twin.identification.joint_ukf import drive_share, is_plausible
-from twin.sim.bridge import particulars_of
-from usv_gym import Vessel
 
 SMALL = Particulars(
     name="small catamaran",
@@ -75,17 +69,3 @@ def test_a_plan_of_more_thrust_may_lead_to_more_speed() -> None:
     )
     states[3, 5] = np.nan
     assert not is_plausible(states, fastest, nominal, 2.0)
-
-
-@pytest.mark.parametrize("name", ["q", "r", "p0", "q_xi"])
-def test_negative_variances_are_refused(name):
-    given = plain_settings(particulars_of(Vessel.load("usv75")))
-    with pytest.raises(FilterError, match=f"{name} has entries below 0"):
-        dataclasses.replace(given, **{name: -getattr(given, name) - 1.0})
-
-
-@pytest.mark.parametrize("unit", [0.0, -1.0, math.nan])
-def test_unit_of_shaft_speed_must_be_above_0(unit):
-    given = plain_settings(particulars_of(Vessel.load("usv75")))
-    with pytest.raises(FilterError, match="n_unit"):
-        dataclasses.replace(given, n_unit=unit)

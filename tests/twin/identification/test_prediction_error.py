@@ -16,7 +16,6 @@ from twin.identification.prediction_error import (
     GOOD,
     MIDDLE,
     WIND,
-    RefitError,
     RefitSettings,
     linearise,
 )
@@ -387,17 +386,6 @@ def test_without_segments_the_prior_stays() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(segments.cov)), structure.sd, rtol=1e-9)
 
 
-def test_relinearisation_takes_those_that_moved_most() -> None:
-    structure = STRUCTURES[0].values[0]
-    rows = window(structure, a_boat(structure), noise=0.2)
-    segments = segments_of(structure, rows, SETTINGS, STARTS)
-    for part, slot in enumerate(np.argsort(segments.first)):
-        segments.state.at[slot] = structure.mean + 0.1 * part * structure.sd
-    segments.relinearise(rows, 3)
-    again = segments.first[(segments.state.at == segments.params).all(axis=1)]
-    assert sorted(again) == sorted([STARTS[0], *STARTS[-3:]])
-
-
 def test_a_damped_solution_lies_between_and_says_nothing_of_the_covariance() -> None:
     structure = STRUCTURES[0].values[0]
     rows = window(structure, a_boat(structure), noise=0.2)
@@ -410,11 +398,3 @@ def test_a_damped_solution_lies_between_and_says_nothing_of_the_covariance() -> 
     np.testing.assert_allclose(prior_of(structure, held.params), 0.0, atol=1e-6)
     # the damping is a means of finding the least; it says nothing of how sure that is
     np.testing.assert_array_equal(held.cov, held.prior_cov)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"scale": math.nan}, {"knee": 0.0}, {"knee": -1.0}, {"span": 1.0, "horizon": 2.0}]
-)
-def test_settings_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(RefitError, match=next(iter(wrong))):
-        dataclasses.replace(SETTINGS, **wrong)

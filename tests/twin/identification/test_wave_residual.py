@@ -23,7 +23,6 @@ from twin.identification.wave_residual import (
     forecast_waves,
     sector_work_size,
     simulate_waves,
-    wave_work_size,
 )
 
 # A wave of 4 s at 4 Hz, and faster roots: what a boat in a sea leaves, where the noise is some
@@ -47,7 +46,7 @@ def spectral_radius(a: np.ndarray) -> float:
 def fit_autoregression(w: np.ndarray) -> np.ndarray:
     """Return the coefficients (6, c) of what predicts."""
     coefficients = np.full((ORDER, w.shape[1]), math.nan)
-    fit_waves(np.ascontiguousarray(w), coefficients, np.full(wave_work_size(len(w)), math.nan))
+    fit_waves(np.ascontiguousarray(w), coefficients, np.full(2 * len(w) + 12, math.nan))
     return coefficients
 
 

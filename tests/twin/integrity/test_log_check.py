@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twin.cli.logs.check_picture import draw_check
 
 from tests.twin.integrity.damaged import (
     FAULTS,
@@ -28,7 +29,6 @@ from tests.twin.integrity.damaged import (
     without,
 )
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.cli.logs.check_picture import draw_check
 from twin.integrity.findings import CODES, NOTE, WARNING, Finding
 from twin.integrity.log_check import LogCheck, check_log, check_recording
 from twin.logs.datasets import ship

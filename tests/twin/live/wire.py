@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import socket
 import subprocess
@@ -16,11 +17,25 @@ from typing import Any
 import numpy as np
 
 from twin.live.protocols.feed import Feed
-from twin.live.protocols.replay import Datagram, Stream, schedule
 from twin.logs.log import Log, recorded_runs
 from twin.motion import HORIZONS, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
+
+
+def load_example(path: str) -> Any:
+    """Return an example as a module; ``path`` is below the folder of examples."""
+    place = Path(__file__).resolve().parents[3] / "examples" / path
+    spec = importlib.util.spec_from_file_location(f"example_{place.stem}", place)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+example = load_example("replay.py")
+"""What sends a log as a stream."""
 
 RUN = recorded_runs()["boat1_usv_circle"]
 
@@ -33,7 +48,7 @@ class Wire:
         self.feed = kind(None, boat, clock=lambda: self.now, **options)
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
 
-    def carry(self, datagrams: Iterable[Datagram], speed: float = 1.0) -> None:
+    def carry(self, datagrams: Iterable[Any], speed: float = 1.0) -> None:
         began, first = self.now, None
         for datagram in datagrams:
             first = datagram.due if first is None else first
@@ -53,9 +68,9 @@ class Wire:
         self.rows += new
         return new
 
-    def replay(self, log: Log, stream: Stream, speed: float, **options: Any) -> Counter[str]:
+    def replay(self, log: Log, stream: Any, speed: float) -> Counter[str]:
         counts: Counter[str] = Counter()
-        self.carry(schedule(log, stream, counts=counts, **options), speed)
+        self.carry(example.schedule(log, stream, counts=counts), speed)
         self.take(after=1.0)
         return counts
 
@@ -69,6 +84,44 @@ class Wire:
         ways = ("used", "late", "doubled", "broken", "void", "unknown", "own")
         assert counts["received"] == sum(counts[way] for way in ways)
         return {name: count for name, count in counts.items() if count}
+
+
+def is_heartbeat(datagram: Any) -> bool:
+    """Return whether a datagram is a HEARTBEAT of MAVLink, which has no time."""
+    return datagram.data[:1] == b"\xfd" and datagram.data[7] == 0
+
+
+def disturbed(
+    datagrams: Iterable[Any], rng: np.random.Generator, counts: Counter[str]
+) -> list[Any]:
+    """Return datagrams of which a twentieth each is late, doubled, broken or overtaken."""
+    found = list(datagrams)
+    end, made, k = found[-1].due - 2.0, [], 0
+    while k < len(found):
+        one = found[k]
+        way = ("late", "doubled", "broken", "swapped", "")[min(int(20.0 * rng.random()), 4)]
+        if is_heartbeat(one) or one.due > end:
+            way = ""
+        counts[way] += one.messages if way != "broken" else 1
+        if way == "swapped":  # the next one of a later time overtakes it
+            later = next(
+                j
+                for j in range(k + 1, len(found))
+                if found[j].due > one.due and not is_heartbeat(found[j])
+            )
+            made += found[k + 1 : later + 1]
+            one, k = replace(one, due=found[later].due), later
+        elif way == "late":
+            one = replace(one, due=one.due + 1.0)
+        elif way == "doubled":
+            made.append(one)
+        elif way == "broken":
+            wrong = bytearray(one.data)
+            wrong[int(rng.integers(10, 14))] ^= 1  # of the first message
+            one = replace(one, data=bytes(wrong))
+        made.append(one)
+        k += 1
+    return sorted(made, key=lambda each: each.due)
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:

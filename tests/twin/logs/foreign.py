@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from twin.channels import APPARENT_SPEED, MEASUREMENTS, TRUTH, WIND_SPEED
 from twin.cli.main import app
 from twin.logs import readers as table
+from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 
@@ -37,17 +38,6 @@ def run(rows: int = 200, truth: bool = False) -> Log:
     cmd = np.column_stack([5.0 + 0.1 * np.floor(t), 6.0 - 0.1 * np.floor(t)])
     cmd = np.column_stack([cmd, np.repeat(0.2 * np.sin(np.floor(t))[:, None], 2, axis=1)])
     return Log(t, z, cmd, rng.standard_normal((rows, len(TRUTH))) if truth else None)
-
-
-def degree(latitude: float) -> tuple[float, float]:
-    """Return the metres of a degree of latitude and of longitude, to a centimetre.
-
-    Source: National Geospatial-Intelligence Agency, length of a degree calculator (WGS 84).
-    """
-    p = math.radians(latitude)
-    north = 111132.92 - 559.82 * math.cos(2 * p) + 1.175 * math.cos(4 * p)
-    east = 111412.84 * math.cos(p) - 93.5 * math.cos(3 * p) + 0.118 * math.cos(5 * p)
-    return north, east
 
 
 def refused(path: Path, mapping: Path | None = None, at: Path | None = None) -> str:
@@ -86,8 +76,7 @@ course = { from = "COG", unit = "deg" }
 def foreign(log: Log) -> pl.DataFrame:
     """Return a log in foreign columns."""
     z = dict(zip(MEASUREMENTS, log.z.T, strict=True))
-    north, east = degree(60.0)
-    lon = 179.9999 + z["gps_y_m"] / east
+    latitude, longitude = Plane(60.0, 179.9999).degrees(z["gps_x_m"], z["gps_y_m"])
     return pl.DataFrame(
         {
             "ms": 1e3 * log.t,
@@ -96,8 +85,8 @@ def foreign(log: Log) -> pl.DataFrame:
             "yaw": 90.0 - np.degrees(z["compass_rad"]),
             "rate": -np.degrees(z["gyro_radps"]),
             "TWS": z["wind_mps"] * 3600.0 / 1852.0,
-            "lat": 60.0 + z["gps_x_m"] / north,
-            "lon": np.where(lon > 180.0, lon - 360.0, lon),
+            "lat": latitude,
+            "lon": longitude,
             "SOG": np.hypot(z["gps_vx_mps"], z["gps_vy_mps"]) * 3600.0 / 1852.0,
             "COG": np.degrees(np.arctan2(z["gps_vy_mps"], z["gps_vx_mps"])),
             "remark": ["ok, so"] * len(log),
@@ -144,12 +133,11 @@ def record(
             no9,
         )
 
+    lat, lon = Plane(38.8658, 121.5344).degrees(z["gps_x_m"], z["gps_y_m"])
+
     def fix(k: int) -> Any:
         status = make["sensor_msgs/msg/NavSatStatus"](0 if k else -1, 1)
-        north, east = degree(38.8658)
-        lat = 38.8658 + z["gps_x_m"][k] / north
-        lon = 121.5344 + z["gps_y_m"][k] / east
-        return make["sensor_msgs/msg/NavSatFix"](header(k), status, lat, lon, 0.0, no9, 0)
+        return make["sensor_msgs/msg/NavSatFix"](header(k), status, lat[k], lon[k], 0.0, no9, 0)
 
     def velocity(k: int) -> Any:
         twist = make["geometry_msgs/msg/Twist"](

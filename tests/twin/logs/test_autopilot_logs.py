@@ -300,17 +300,6 @@ def test_log_check_takes_shares_of_throttle_for_what_they_are(kind, tmp_path):
     pytest.importorskip("pymavlink")
     log = dataclasses.replace(RUN, z=np.hstack([RUN.z[:, :MOTION_AT], 0.01 * RUN.z[:, MOTION_AT:]]))
     path = written(tmp_path / f"a.{kind}", KINDS[kind](log, SKID))
-    command = ["log", "check", str(path), "--ship", "otter", "--no-picture"]
+    command = ["check", str(path), "--ship", "otter", "--no-picture"]
     found = CliRunner().invoke(app, command).output
     assert "rpm" not in found and "rev/s" not in found.partition("samples/s")[2]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_predict_runs_on_an_autopilot_log(kind, tmp_path):
-    pytest.importorskip("pymavlink")
-    path = written(tmp_path / f"a.{kind}", KINDS[kind](RUN, SKID))
-    out = tmp_path / "ahead.geojson"
-    command = ["predict", str(path), "--ship", "otter", "-p", "ukf", "--out", str(out)]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
-    assert out.exists()

@@ -88,10 +88,10 @@ def distinct(rows: int, most: float = 1e300) -> st.SearchStrategy[list[float]]:
     return st.lists(within, min_size=rows, max_size=rows, unique_by=lambda x: x + 0.0)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(data=st.data(), rows=st.integers(2, 30))
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), rows=st.integers(2, 30), kind=st.sampled_from(["csv", "csv", "parquet"]))
 def test_round_trip_of_any_numbers_keeps_the_bits(
-    tmp_path: Path, data: st.DataObject, rows: int
+    tmp_path: Path, data: st.DataObject, rows: int, kind: str
 ) -> None:
     # neither degrees nor a jump
     most = {"gps_x_m": 15.0, "gps_y_m": 15.0}
@@ -106,9 +106,8 @@ def test_round_trip_of_any_numbers_keeps_the_bits(
         cmd,
         data.draw(hnp.arrays(np.float64, (rows, 6), elements=numbers) | st.none()),
     )
-    for name in ("any.csv", "any.parquet"):
-        log.write(tmp_path / name)
-        assert same_bits(log, Log.read(tmp_path / name))
+    log.write(tmp_path / f"any.{kind}")
+    assert same_bits(log, Log.read(tmp_path / f"any.{kind}"))
 
 
 def test_what_was_read_and_repaired_reads_back_unchanged(tmp_path: Path) -> None:
@@ -150,13 +149,6 @@ def test_length_step_rows_and_slices_are_those_of_the_arrays() -> None:
     assert len(log.slice(5.0, 4.0)) == len(log.slice(1e9)) == 0
     with pytest.raises(LogError, match="two rows"):
         _ = log.slice(1e9).dt
-
-
-def test_without_truth_keeps_the_rest() -> None:
-    log = sound(truth=True)
-    assert log.without_truth().truth is None
-    np.testing.assert_array_equal(log.without_truth().z, log.z)
-    assert log.truth is not None
 
 
 @pytest.mark.parametrize(
@@ -220,23 +212,6 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
         "wind: unknown column, left out; if it is wind_mps, rename it",
         "wind_mps: not in the file, taken as never measured",
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "given"),
-    [
-        ("wind_mps", "wind_speed"),
-        ("wind_mps", "TWS_mps"),
-        ("wind_from_rad", "wind_direction_rad"),
-        ("wind_from_deg", "wind_dir_deg"),
-        ("wind_from_deg", "TWD_deg"),
-    ],
-)
-def test_other_names_of_the_wind_get_a_suggestion(tmp_path: Path, name: str, given: str) -> None:
-    table = columns()
-    table[given] = table.pop(name.replace("_deg", "_rad"))
-    log = Log.read(save(tmp_path / "a.csv", table))
-    assert f"{given}: unknown column, left out; if it is {name}, rename it" in log.notes
 
 
 @pytest.mark.parametrize("name", REQUIRED)
@@ -323,13 +298,6 @@ def test_bad_cell_is_named(tmp_path: Path, name: str, row: int, cell: str, words
     table = columns()
     table[name][row] = cell
     assert words in refused(save(tmp_path / "a.csv", table))
-
-
-def test_first_of_several_bad_cells_is_named(tmp_path: Path) -> None:
-    table = columns()
-    table["t_s"][9] = "late"
-    table["wind_mps"][2] = "early"
-    assert "column wind_mps, line 4: 'early'" in refused(save(tmp_path / "a.csv", table))
 
 
 def test_line_numbers_count_blank_lines(tmp_path: Path) -> None:
@@ -497,15 +465,6 @@ def test_degrees_under_a_name_of_radians_are_refused(
     assert f"column {name}" in message and words in message
 
 
-def test_unwrapped_heading_in_degrees_is_refused_by_the_yaw_rate(tmp_path: Path) -> None:
-    table = straight_ahead_log(1200, 0.2)
-    table["compass_rad"] = np.degrees(np.unwrap(table["compass_rad"]))
-    for name in ("gps_vx_mps", "gps_vy_mps"):
-        table.pop(name, None)
-    message = refused(save(tmp_path / "a.csv", as_text(table)))
-    assert "column compass_rad" in message and "name the column compass_deg" in message
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
 @pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
 def test_radians_wrapped_or_not_are_accepted(tmp_path: Path, turn: float, wrap: float) -> None:
@@ -576,19 +535,3 @@ def test_rows_of_equal_time_are_merged_unless_they_contradict(tmp_path: Path) ->
     twice["gps_x_m"][400] = 7.0
     message = refused(save(tmp_path / "a.csv", as_text(twice)))
     assert "column t_s, line 3: time does not increase (0 s after 0 s)" in message
-
-
-def test_shuffled_rows_and_a_clock_set_back_are_refused(tmp_path: Path) -> None:
-    order = np.random.default_rng(1).permutation(600)
-    shuffled = {name: values[order] for name, values in straight_ahead_log().items()}
-    assert "time does not increase" in refused(save(tmp_path / "a.csv", as_text(shuffled)))
-    table = straight_ahead_log()
-    table["t_s"][300:] -= 20.0
-    message = refused(save(tmp_path / "a.csv", as_text(table)))
-    assert "line 302: time does not increase (10 s after 29.9 s)" in message
-
-
-# --- files ------------------------------------------------------------------------------------
-
-
-# --- the run that ships -----------------------------------------------------------------------

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.twin.logs.reading import refused
-from twin.channels import MEASUREMENTS, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED
 from twin.logs.log import Log, recorded_runs
 from twin.particulars import Particulars
@@ -85,24 +84,6 @@ def test_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
     assert "cannot be read (" in refused(tmp_path / name)
 
 
-def test_shipped_run_has_its_notes() -> None:
-    path = recorded_runs()["boat1_usv_circle"]
-    log = Log.read(path)
-    assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
-    assert log.dt == pytest.approx(0.110, abs=1e-9)
-    assert log.notes == (
-        "gyro_radps, accel_x_mps2, accel_y_mps2: not in the file, taken as never measured",
-        "gps_x_m, gps_y_m: 1064 of 2354 fixes repeat the last one, taken as no new sample "
-        "(longest gap 0.2 s at t = 81.3 s)",
-        "gps_vx_mps, gps_vy_mps: 1064 of 2354 velocities of repeated fixes repeat the last one, "
-        "taken as no new sample (longest gap 0.2 s at t = 81.3 s)",
-        "compass_rad: 1070 of 2354 values repeat the last one, taken as no new sample "
-        "(longest gap 0.3 s at t = 204.1 s)",
-    )
-    assert (log.cmd[:, 2:] == 0.0).all()
-    assert np.abs(log.cmd[:, :2]).max() == 10.0
-
-
 def test_shipped_run_is_consistent() -> None:
     log = Log.read(recorded_runs()["boat1_usv_circle"])
     new = ~np.isnan(log.z[:, :4]).any(axis=1)
@@ -131,8 +112,3 @@ def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
     notice = path.with_name("NOTICE.txt").read_text(encoding="ascii")
     assert path.name in notice
     assert "MIT License" in notice
-
-
-def test_names_of_the_columns_do_not_clash() -> None:
-    names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH, *TRUE_MOTION)
-    assert len(set(names)) == len(names) == 1 + 4 + 19 + 6 + 6

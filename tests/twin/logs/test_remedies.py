@@ -33,7 +33,7 @@ def rows(times: list[str]) -> list[str]:
 
 
 def mapped(path: Path) -> Log:
-    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    result = CliRunner().invoke(app, ["mapping", str(path)])
     assert result.exit_code == 0, result.output
     return Log.read(path)
 
@@ -77,8 +77,8 @@ def test_days_of_a_spreadsheet_are_no_unix_times(tmp_path: Path) -> None:
 def test_whole_seconds_are_one_finding(tmp_path: Path) -> None:
     times = [f"{START + timedelta(seconds=k // 5):%Y-%m-%d %H:%M:%S}" for k in range(300)]
     path = write(tmp_path / "a.csv", [HEAD, *rows(times)])
-    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
-    output = CliRunner().invoke(app, ["log", "check", str(path), "--no-picture"]).output
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    output = CliRunner().invoke(app, ["check", str(path), "--no-picture"]).output
     about = [line for line in output.splitlines() if "time of the row before" in line]
     assert len(about) == 1 and "as times in whole seconds do" in about[0]
     assert "merged" not in output and "time does not increase" not in output
@@ -98,7 +98,7 @@ def test_rows_clash_where_two_of_one_time_differ(cells: list[tuple[int, float]])
 
 def test_the_first_error_of_a_foreign_log_names_mapping_new(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", [HEAD, *rows([str(k) for k in range(30)])])
-    assert f"usv-twin mapping new {path}" in refusal(path)
+    assert f"usv-twin mapping {path}" in refusal(path)
 
 
 def test_fixed_thrusters_need_no_column_of_angles(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_fixed_thrusters_need_no_column_of_angles(tmp_path: Path) -> None:
 def test_lines_above_the_header_are_named(tmp_path: Path, above: list[str], words: str) -> None:
     path = write(tmp_path / "a.csv", [*above, HEAD, *rows([str(k) for k in range(30)])])
     assert words in refusal(path)
-    output = CliRunner().invoke(app, ["mapping", "new", str(path)]).output
+    output = CliRunner().invoke(app, ["mapping", str(path)]).output
     assert words in " ".join(output.split())
 
 
@@ -138,7 +138,7 @@ def test_a_header_may_begin_with_a_mark_of_comments(tmp_path: Path) -> None:
 def test_degrees_and_minutes_in_one_number_are_named(tmp_path: Path, latitude: str) -> None:
     lines = [f"{k},{latitude},01043.2{k:03d},{k % 90},600,{600 + k}" for k in range(60)]
     path = write(tmp_path / "a.csv", [HEAD, *lines])
-    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    result = CliRunner().invoke(app, ["mapping", str(path)])
     assert "ddmm.mm" in result.output
     message = refusal(path)
     assert "ddmm.mm" in message and "plus the rest over 60" in message
@@ -147,7 +147,7 @@ def test_degrees_and_minutes_in_one_number_are_named(tmp_path: Path, latitude: s
 def test_one_of_two_sides_is_missed_when_left_out(tmp_path: Path) -> None:
     head = HEAD.replace("rpm_left", "servo1").replace("rpm_right", "servo3")
     path = write(tmp_path / "a.csv", [head, *rows([str(0.5 * k) for k in range(150)])])
-    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
     mapping = tmp_path / "a.mapping.toml"
     lines = [line for line in mapping.read_text().splitlines() if "n_right_rps" not in line]
     mapping.write_text("\n".join(lines).replace("n_left_rps", "n_rps"))

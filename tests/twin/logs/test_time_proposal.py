@@ -42,7 +42,7 @@ def write(path: Path, head: str, cells: Callable[[datetime], str], **more: objec
 
 def mapped(path: Path, *options: str) -> Log:
     """Return the log, read by the mapping that is proposed for it."""
-    result = CliRunner().invoke(app, ["mapping", "new", str(path), *options])
+    result = CliRunner().invoke(app, ["mapping", str(path), *options])
     assert result.exit_code == 0, result.output
     log = Log.read(path)
     assert log.t[-1] - log.t[0] == pytest.approx(STEP * (ROWS - 1), abs=1e-3)
@@ -116,12 +116,12 @@ def test_hours_minutes_and_seconds_in_one_number_are_no_seconds(tmp_path: Path) 
 
 def test_an_ambiguous_zone_asks(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} EST")
-    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    result = CliRunner().invoke(app, ["mapping", str(path)])
     assert result.exit_code == 2 and "EST is the name of several zones" in result.output
     assert not (tmp_path / "run.mapping.toml").exists()
     log = mapped(path, "--zone", "-05:00")
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH + 5 * 3600.0)
-    result = CliRunner().invoke(app, ["mapping", "new", str(path), "--zone", "EST"])
+    result = CliRunner().invoke(app, ["mapping", str(path), "--zone", "EST"])
     assert result.exit_code == 2 and "-05:00" in result.output
 
 

@@ -16,7 +16,6 @@ from twin.model.structure import (
     N_STATES,
     N_TERMS,
     Structure,
-    StructureError,
     accelerations,
     state_terms,
     structure_of,
@@ -332,11 +331,6 @@ def test_prior_keeps_its_speed_and_course(name, differential) -> None:
     # to 8 % of the speed, 15 % of the drag: half of what the thrust is uncertain by (study)
     assert abs(du) < 0.15 * 0.19 * SPEED**2 / LENGTH
     assert dv == dr == 0.0
-
-
-def test_an_unknown_structure_is_refused() -> None:
-    with pytest.raises(StructureError, match=r"no model structure is called 'dave'; .*paper, mmg"):
-        structure_of("dave", LENGTH, SPEED, SHAFT)
 
 
 @settings(max_examples=50, deadline=None)

@@ -11,13 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin import Log, StateError, Twin
-from twin.benchmark.motion_scores import MOTION_HORIZONS, MotionScore, MotionTruth, motion_table
+from twin import Log, Twin
+from twin.benchmark.motion_scores import MotionScore, MotionTruth, motion_table
 from twin.channels import (
-    AHRS_PITCH,
     AHRS_ROLL,
-    GPS_VZ,
-    GPS_Z,
     GYRO_X,
     MEASUREMENTS,
     MOTION_AT,
@@ -317,18 +314,6 @@ def test_a_saved_twin_goes_on_to_the_bit(tmp_path) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def test_a_saved_memory_that_does_not_fit_its_times_is_refused() -> None:
-    """A kernel would run through the missing rows for ever."""
-    motion = DeckMotion(BOAT)
-    z = still_boat(1e-3 * np.random.default_rng(0).standard_normal((50, 7)))
-    for k in range(50):
-        motion.take(0.05 * k, 0.05 if k else 0.0, z[k], np.zeros(6), True)
-    state = motion.state_dict()
-    state["forecast.begun"] = state["forecast.begun"] - 1e9
-    with pytest.raises(StateError, match=r"forecast\.rows"):
-        DeckMotion(BOAT).load_state_dict(state)
-
-
 def test_after_a_gap_it_forecasts_the_mean_until_the_past_is_known() -> None:
     log, motion = sailed("heading135"), DeckMotion(BOAT)
     for k, t in enumerate(log.t[:3000]):
@@ -367,11 +352,6 @@ def test_any_rows_leave_forecasts_finite(steps: list[float], seed: int, size: fl
         assert np.isfinite(forecast.mean).all()
         assert np.isfinite(forecast.sd).all()
         assert ((forecast.quiet >= 0.0) & (forecast.quiet <= 1.0)).all()
-
-
-def test_the_names_of_the_horizons_are_among_the_rows() -> None:
-    assert set(MOTION_HORIZONS) <= set(HORIZONS.tolist())
-    assert {AHRS_PITCH, GPS_Z, GPS_VZ} <= set(range(MOTION_AT, len(MEASUREMENTS)))
 
 
 @functools.cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -202,16 +201,3 @@ def test_a_dead_axis_is_reported_by_the_twin_and_bridged(
     assert np.degrees(np.sqrt(np.mean(off**2))) < 0.4
     heading = np.angle(np.exp(1j * (out["psi_rad"] - log.truth[:, 2])))[BEGIN:]
     assert np.degrees(np.sqrt(np.mean(heading**2))) < 2.5
-
-
-def test_a_state_of_before_latencies_is_loaded() -> None:
-    log, motion = sailed(0), DeckMotion(boat())
-    for k in range(200):
-        motion.take(log.t[k], log.dt if k else 0.0, log.z[k], log.truth[k], True)
-    new = ("attitude.turned", "attitude.turned_ring", "attitude.rate_power")
-    old = {name: value for name, value in motion.state_dict().items() if name not in new}
-    again = DeckMotion(boat())
-    again.load_state_dict(old)
-    for twin in (motion, again):
-        twin.take(log.t[200], log.dt, log.z[200], log.truth[200], True)
-    assert dataclasses.astuple(motion.estimate())[:8] == dataclasses.astuple(again.estimate())[:8]

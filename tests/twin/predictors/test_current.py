@@ -1,19 +1,17 @@
 """The current: found where the boat turns, and held while GPS is lost."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from twin import Twin
-from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.channels import MEASUREMENTS
-from twin.health.monitor import SensorMonitor
 from twin.identification.data_weight import CHANGED, is_stable
 from twin.model.rollout import GRID
-from twin.sim.bridge import particulars_of, simulate
+from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
+from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import GPS_VY, GPS_X
 
 GPS = [k for k, name in enumerate(MEASUREMENTS) if name.startswith("gps")]
@@ -130,76 +128,15 @@ def test_current_that_no_turn_has_shown_is_within_what_is_claimed():
     assert np.mean(inside) >= 0.75
 
 
-def looks(currents, waves=0.0):
-    """Return status and reason of a GPS while a model says these currents, one each 5 s.
-
-    ``waves`` is the surge that they make, in nominal speeds.
-    """
-    monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
-    monitor.record["wave_level"] = waves
-    z, cmd, state = np.full(19, math.nan), np.zeros(4), np.zeros(6)
-    found = []
-    for k, current in enumerate(currents):
-        z[FIX] = 0.01 * k, 0.0, 0.01 * (k % 2), 0.0
-        monitor.check(5.0, z, cmd, state, True, current)
-        found.append(monitor.statuses(0.0)["gps"])
-    return found
-
-
-def test_current_that_is_too_large_makes_the_gps_doubtful():
-    steady, large = (0.1, 0.0, 0.05), (1.5, -1.5, 0.05)
-    found = looks([steady] * 8 + [large])
-    assert found[7].status == "ok"
-    assert found[8].status == "doubtful" and "larger than is plausible" in found[8].why
-    assert found[8].since == 45.0
-
-
-def test_current_that_changes_fast_makes_the_gps_doubtful_for_a_minute():
-    steady, surer, changed = (0.1, 0.0, 0.05), (0.1, 0.3, 0.05), (0.1, 0.6, 0.05)
-    found = looks([steady] * 20 + [surer] + [changed] * 30)
-    assert {each.status for each in found[:21]} == {"ok"}  # within the standard deviations
-    assert found[21].status == "doubtful" and "faster than is plausible" in found[21].why
-    assert found[-1].status == "ok"
-
-
-@pytest.mark.parametrize("change", [0.45, 0.6, 0.9])
-def test_higher_waves_need_a_larger_change_of_the_current(change):
-    currents = [(0.1, 0.0, 0.05)] * 20 + [(0.1, change, 0.05)] * 3
-    named = [looks(currents, waves)[-1].status == "doubtful" for waves in np.linspace(0, 0.3, 31)]
-    assert named[0] and not named[-1]
-    assert named == sorted(named, reverse=True)
-
-
-@pytest.mark.parametrize(("manoeuvre", "seed"), [("turn", 36), ("zigzag", 33), ("turn", 37)])
-def test_steep_waves_are_no_gps_that_is_drawn_away(manoeuvre, seed):
-    """A few steep waves in a row move the current of the filter."""
-    rng, vessel = np.random.default_rng(seed), Vessel.load("usv75")
-    water = {"current": float(rng.uniform(0, 0.3)), "current_to": float(rng.uniform(-3, 3))}
-    sea = dataclasses.replace(SeaState.named("4"), **water)
-    twin = Twin(particulars_of(vessel), "ukf")
-    twin.run(simulate(manoeuvre, vessel=vessel, sea=sea, duration=150.0, seed=seed))
-    assert twin.notes == ()
-
-
-def test_doubtful_current_is_noted_and_saved(log, tmp_path):
-    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
-    twin.run(log.slice(0.0, 30.0))
-    at = twin.predictor.parameter_names.index("C_north")
-    twin.predictor.ukf.xi[at : at + 2] = 1.5, -1.5
-    twin.run(log.slice(30.0, 36.0))
-    assert twin.health["gps"].status == "doubtful"
-    assert any("gps doubtful" in line for line in twin.notes)
-    twin.save(tmp_path / "a.twin")
-    assert Twin.load(tmp_path / "a.twin").health["gps"] == twin.health["gps"]
-
-
 def test_boat_that_has_changed_is_predicted_soon():
     """A current of 1 m/s sets in: the refits look back to the change."""
     boat = Vessel.load("usv75")
-    log = simulate_with(
-        SENSOR_FAULTS["current-step"], 90.0, "turn", boat, SeaState(hs=0.5, wind=4.5),
-        duration=130.0, seed=1,
-    )  # fmt: skip
+    simulation = Simulation(1, boat, SeaState(hs=0.5, wind=4.5), dt=CONTROL_STEP)
+
+    def set_in(t: float, simulation: Simulation) -> None:
+        simulation.weather["current_east"] = float(t >= 90.0)
+
+    log = sail(prepare(simulation, "turn", 130.0, 1), set_in)
     twin = Twin(particulars_of(boat), "dsw-ukf-plus")
     twin.run(log.slice(0.0, 80.0))
     assert twin.predictor.selector.state.count[CHANGED] < 0.0

@@ -12,7 +12,7 @@ import pytest
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.predictors.dsw_ukf import DSWPredictor, paper_settings
+from twin.predictors.dsw_ukf import DSWPredictor
 
 ACCEL_Y, WIND = MEASUREMENTS.index("accel_y_mps2"), MEASUREMENTS.index("wind_mps")
 
@@ -205,13 +205,6 @@ def test_intervals_are_finite_and_positive_definite(boat: Particulars, zigzag: L
 def test_wrong_values_are_refused(boat: Particulars, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DSWPredictor(boat, **options)
-
-
-def test_settings_are_taken_by_channel(boat: Particulars) -> None:
-    settings = paper_settings(boat, x0=np.arange(25.0), p0=np.arange(1.0, 32.0), r=np.full(6, 2.0))
-    np.testing.assert_array_equal(settings.xi0, np.arange(25.0))
-    np.testing.assert_array_equal(settings.xi0_cov, np.diag(np.arange(7.0, 32.0)))
-    np.testing.assert_array_equal(settings.p0, np.arange(1.0, 7.0))
 
 
 def test_suspended_learning_changes_no_parameter(boat: Particulars, run: Log) -> None:

@@ -9,12 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from twin.channels import WIND_FROM, WIND_SPEED
 from twin.digital_twin import Twin
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.data_weight import CHOSEN, REFITS, linearised_at
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
@@ -23,7 +21,6 @@ from twin.identification.prediction_error import (
     MIDDLE,
     STATE,
     WIND,
-    refit_config,
 )
 from twin.identification.wave_residual import FACTOR, ORDER, SECTORS, simulate_waves
 from twin.logs.log import Log, recorded_runs
@@ -37,10 +34,8 @@ from twin.predictors.plus_update import (
     OBSERVER_GAIN,
     WINDOW,
     PlusMemory,
-    _fit_waves,
     _slow_step,
     plus_step,
-    take_segments,
 )
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -120,12 +115,6 @@ def past(predictor: PlusPredictor) -> np.ndarray:
 
 
 @kernel
-def waves_fitted(rows, memory, config, work):
-    given = refit_config(config.refit, config.model.which.shape[1])
-    _fit_waves(rows, as_record(memory.window, WINDOW), given, work.waves)
-
-
-@kernel
 def observed(dt, memory, config, work):
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
@@ -172,26 +161,6 @@ def test_window_is_the_navigation_on_the_grid(boat: Particulars, zigzag: Log, dt
     wind = [-5.0 * math.cos(0.7), -5.0 * math.sin(0.7)]
     np.testing.assert_allclose(rows[:, WIND : WIND + 2], np.tile(wind, (last + 1, 1)))
     assert (rows[-20:, GOOD] == 1.0).all()
-
-
-def test_last_row_is_the_newest_whole_one_at_every_phase(boat: Particulars, zigzag: Log) -> None:
-    rng = np.random.default_rng(4)
-    # times in powers of 2 are exact
-    times = np.cumsum(rng.integers(1, 40, 300)) / 64.0
-    predictor = PlusPredictor(boat)
-    assert predictor.last_row == -1
-    begun: list[float] = []
-
-    def whole(now: float) -> None:
-        if not predictor.ready:
-            assert predictor.last_row == -1
-            return
-        begun.append(now)
-        # a row is whole once the actuators half a step later are there
-        assert predictor.last_row == math.floor((now - begun[0]) / GRID - 0.5)
-
-    feed(predictor, thinned(zigzag, times), whole)
-    assert len(begun) > 250 and predictor.last_row > 200
 
 
 def test_refits_keep_to_their_period(boat: Particulars, zigzag: Log) -> None:
@@ -348,27 +317,6 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
         assert end < 30.0 + 1e-9 or begin > 30.0 + start - GRID
 
 
-def test_forecasts_between_two_refits_are_not_scored(boat: Particulars, zigzag: Log) -> None:
-    """Nobody kept the parameters that were in use when they began."""
-    rare, often = (PlusPredictor(boat, period=period) for period in (10.0, 1.0))
-    for predictor in (rare, often):
-        feed(predictor, zigzag)
-    assert 0 < rare.selector.scored < often.selector.scored
-
-
-def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, zigzag: Log) -> None:
-    predictor = PlusPredictor(boat, period=2.0)
-    feed(predictor, zigzag.slice(0.0, 20.0))
-    # a year later by the grid, before any refit
-    predictor.window["halves"] += 3e7 / (0.5 * GRID)
-    own = predictor.segments
-    tried = take_segments(predictor.memory, predictor.config, predictor.work)
-    assert 0 < tried <= len(predictor.rows) / predictor.spacing + 1
-    # and the walk over times between a segment's begin and end is as short
-    ahead = predictor.last_row - predictor.window["next_start"]
-    assert ahead <= own.steps + predictor.spacing
-
-
 def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigzag: Log) -> None:
     logs = [gap(zigzag, 30.0, 2.0), zigzag, without(zigzag, slice(0, 4), 20.0)]
     logs = [log.slice(0.0, 45.0) for log in logs]
@@ -399,36 +347,6 @@ def test_what_bridges_a_gap_is_no_wave(boat: Particulars, zigzag: Log) -> None:
     assert (np.abs(past(predictor)) > 0.0).all()
 
 
-def lasting(period: float, N: int, rng: np.random.Generator) -> np.ndarray:
-    """Return waves (N, 3) on the grid that keep a period (s) for a while."""
-    root = 0.85 * np.exp(2j * math.pi * GRID / period)
-    return lfilter([1.0], [1.0, -2.0 * root.real, abs(root) ** 2], rng.normal(size=(N, 3)), axis=0)
-
-
-@pytest.mark.parametrize(("heading", "period"), [(1.0, 2.0), (1.0 + math.pi, 6.0)])
-def test_predicted_waves_are_those_of_the_heading(
-    boat: Particulars, heading: float, period: float
-) -> None:
-    predictor, rng = PlusPredictor(boat), np.random.default_rng(1)
-    N = 320
-    rows = predictor.rows[:N]
-    # 40 s on one course, 40 s on the other, where waves are longer and twice as high
-    there = np.arange(N) >= 160
-    rows[:, STATE + 2] = np.where(there, 1.0 + math.pi, 1.0)
-    rows[:, STATE + 3 : LOW] = np.where(
-        there[:, None], 2.0 * lasting(6.0, N, rng), lasting(2.0, N, rng)
-    )
-    rows[:, GOOD] = 1.0
-    rows[-1, STATE + 2] = heading
-    predictor.window["halves"] = 2.0 * N
-    waves_fitted(rows, predictor.memory, predictor.config, predictor.work)
-    for a in predictor.window["wave_ar"].T:
-        roots = np.roots([1.0, *-a])
-        found = 2.0 * math.pi * GRID / abs(np.angle(roots[np.abs(roots).argmax()]))
-        # of some ten waves, that do not last
-        assert found == pytest.approx(period, rel=0.3)
-
-
 def test_the_waves_of_the_draws_are_those_of_the_headings_ahead(
     boat: Particulars, zigzag: Log
 ) -> None:
@@ -456,25 +374,6 @@ def test_the_waves_of_the_draws_are_those_of_the_headings_ahead(
     other = np.empty((100, 40, 3))
     simulate_waves(sectors, headings + math.pi, predictor.normal[2][1:], other)
     assert (other != new).any()
-
-
-def test_the_waves_drawn_are_of_the_last_minute(boat: Particulars) -> None:
-    predictor = PlusPredictor(boat)
-    N, rng = 320, np.random.default_rng(1)
-    rows = predictor.rows[:N]
-    rows[:, GOOD] = 1.0
-    # what was left before is rougher, and not counted; nor is what was no good
-    size = np.where(np.arange(N) < N - 240, 1.0, 0.1)
-    rows[:, STATE + 3 : STATE + 6] = size[:, None] * rng.standard_normal((N, 3))
-    rows[200:210, GOOD], rows[200:210, STATE + 3] = 0.0, 50.0
-    rows[:10, GOOD] = 0.0
-    predictor.window["halves"] = 2.0 * N
-    waves_fitted(rows, predictor.memory, predictor.config, predictor.work)
-    heights = np.sqrt((predictor.window["sectors"][0, FACTOR:].reshape(3, 3) ** 2).sum(axis=1))
-    counted = [*range(70, 200), *range(210, N)]  # as many as a minute has
-    np.testing.assert_allclose(
-        heights, np.sqrt((rows[counted, STATE + 3 : STATE + 6] ** 2).mean(axis=0)), rtol=0.1
-    )
 
 
 def test_the_observer_keeps_velocity_over_ground_while_a_wave_turns_the_boat(
@@ -590,11 +489,3 @@ def test_without_gps_the_mean_of_joint_filter_and_refit_goes_on() -> None:
     assert np.abs(mean - before).max() > 1e-3
     twin.step(t + 0.1, blind, cmd)  # and goes on from there
     assert np.isfinite(predictor.ukf.xi).all()
-
-
-def test_segments_are_linearised_at_a_refit_whatever_is_in_use() -> None:
-    predictor = PlusPredictor(particulars_of(Vessel.load("usv75")))
-    state = predictor.selector.state
-    for chosen in range(len(state.params)):
-        state.count[CHOSEN] = chosen
-        assert linearised_at.py_func(state) == (chosen if chosen < REFITS else 0)

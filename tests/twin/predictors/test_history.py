@@ -103,16 +103,6 @@ def test_other_predictors_drop_what_they_do_not_look_back_on(name):
     assert_same(bounded, endless, 0.25)
 
 
-def test_files_of_before_rows_were_dropped_can_be_read():
-    one, two = (make_predictor("persistence-8s", BOAT) for _ in range(2))
-    for row in rows(0, 60, GRID):
-        one.update(*row)
-    state = one.state_dict()
-    del state["dropped"], state["sum"]
-    two.load_state_dict(state)
-    assert_same(one, two, 0.25)
-
-
 @pytest.mark.parametrize("name", ["fleet-lstm", "transformer"])
 def test_a_net_begins_again_after_a_fault(name: str) -> None:
     """Rows up to a fault change no forecast once the sensors are right; before that they do."""

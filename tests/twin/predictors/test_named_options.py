@@ -1,6 +1,5 @@
 """Options in the names of predictors: read, checked, and kept wherever a name goes."""
 
-import inspect
 import json
 
 import gymnasium as gym
@@ -8,21 +7,18 @@ import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
-from twin import Twin, make_predictor
-from twin.benchmark.conformance import check_predictor
-from twin.benchmark.protocol import Settings, Unit, available
+from twin import Twin
+from twin.benchmark.protocol import Settings, Unit
 from twin.benchmark.runner import result_file, run_unit
 from twin.cli.common import OptionError, parse_predictors
-from twin.predictors.named_options import OptionTextError, parse_options, split_name, split_names
+from twin.predictors.named_options import OptionTextError, split_name, split_names
 from twin.predictors.registry import (
-    EXTRAS,
     PREDICTORS,
     PredictorError,
     base_name,
     options_of,
     predictor_class,
 )
-from twin.sim.oracle import simulator_options
 from usv_kernel.errors import ArgumentError, UsvTwinError
 
 PRINTED = {"adapt": "literal", "adapts": "QR", "feedback": False, "window": "dynamic"}
@@ -79,31 +75,11 @@ def test_wrong_options_in_a_name_say_what_is_legal(name, error, words):
         predictor_class(name)
 
 
-def test_wrong_values_name_the_legal_ones_and_the_predictor(boat):
-    with pytest.raises(PredictorError, match=r"'dsw-ukf:window=of'.* use one of dynamic, fixed, o"):
-        make_predictor("dsw-ukf:window=of", boat)
-    with pytest.raises(PredictorError, match=r"'ukf:model=nope'.*mmg"):
-        make_predictor("ukf:model=nope", boat)
-    with pytest.raises(PredictorError, match="model stands in its name, and is given beside it"):
-        make_predictor("ukf:model=mmg", boat, model="paper")
-    with pytest.raises(PredictorError, match="use one of dynamic, fixed, off"):
-        Settings(predictors=("dsw-ukf:window=of",))
-
-
 def test_names_of_modules_take_options_after_the_class():
     assert split_name("a.b:Mine", PREDICTORS) == ("a.b:Mine", None)
     assert split_name("a.b:Mine:gain=2", PREDICTORS) == ("a.b:Mine", "gain=2")
     name = "twin.predictors.dsw_ukf:DSWPredictor:printed,window=off"
     assert options_of(name) == {**PRINTED, "window": "off"}
-
-
-def test_options_without_a_type_are_read_as_what_they_look_like():
-    def function(a, b: "int | float" = 2, **more):
-        return a, b, more
-
-    arguments = list(inspect.signature(function).parameters.values())
-    found = parse_options("it", "a=on,b=2.5,c=7,d=x", {}, arguments)
-    assert found == {"a": True, "b": 2.5, "c": 7, "d": "x"}
 
 
 def test_lists_keep_options_with_the_predictor_before_them():
@@ -155,21 +131,6 @@ def test_benchmark_scores_and_keeps_variants_apart(tmp_path):
     other = result_file(tmp_path, Unit("turn", "none", 0, long + "1"))
     assert len(other.name) < 255
     assert other != result_file(tmp_path, Unit("turn", "none", 0, long))
-
-
-def test_extras_and_the_oracle_see_the_name_without_options(monkeypatch):
-    monkeypatch.setitem(EXTRAS, "ukf", ("no_such_module", "lstm"))
-    assert available(("ukf:model=mmg", "dsw-ukf")) == (
-        ("dsw-ukf",),
-        available(("ukf:model=mmg",))[1],
-    )
-    assert set(simulator_options("oracle:dof=3", None, None, 6)) == {"vessel", "sea"}
-
-
-def test_variants_keep_the_contract_of_predictors():
-    assert check_predictor("dsw-ukf:window=fixed,w_min=20") >= 4
-    with pytest.raises(UsvTwinError, match="no option 'wmin'"):
-        check_predictor("dsw-ukf:wmin=3")
 
 
 @pytest.mark.parametrize("name", ["ukf:model=paper", "dsw-ukf:window=off"])

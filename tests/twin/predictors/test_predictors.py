@@ -12,7 +12,7 @@ import pytest
 from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import known_plan
-from twin.predictors.base import Prediction, Predictor
+from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
 from twin.predictors.registry import EXTRAS, PredictorError
 from usv_kernel.errors import ArgumentError
@@ -191,17 +191,6 @@ def test_unknown_predictor_is_named(boat):
         del PREDICTORS["not-one"]
 
 
-def test_misspelled_options_of_a_predictor_get_the_nearest_and_all_names(boat):
-    with pytest.raises(ArgumentError) as caught:
-        Twin(boat, perod=2.0)
-    said = str(caught.value)
-    assert "'dsw-ukf-plus' has no option 'perod' (did you mean 'period'?)" in said
-    options = "its options: model, prior, settings, period, relinearised, draws, seed"
-    assert said.endswith(options)
-    with pytest.raises(TwinError, match=r"^period: give options where the UKFPredictor is made"):
-        Twin(boat, make_predictor("ukf", boat), period=2.0)
-
-
 @pytest.mark.parametrize(
     ("t", "z", "cmd", "message"),
     [
@@ -235,8 +224,3 @@ def test_bad_rows_are_refused(boat, zigzag, t, z, cmd, message):
 def test_bad_plans_are_refused(boat, plan, options, message):
     with pytest.raises(TwinError, match=message):
         Twin(boat).predict(plan, **options)
-
-
-def test_predictor_is_abstract(boat):
-    with pytest.raises(TypeError):
-        Predictor(boat)  # type: ignore[abstract]

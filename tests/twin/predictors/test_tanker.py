@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import twin.logs
 from twin import Twin
 from twin.channels import R
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
-from twin.logs.datasets import ESSO as TANKER
 from twin.model.dynamics import derivative, model_of
 from twin.model.priors import population_prior
 from twin.model.structure import N_STATES, N_TERMS, Structure
@@ -24,6 +25,8 @@ from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SeaState
 
 Array = NDArray[np.float64]
+
+TANKER = Particulars.load(Path(twin.logs.__file__).with_name("ships") / "esso_osaka.toml")
 
 
 def rates(structure: Structure, xi: Array, state: Array, act: Array) -> list[float]:

@@ -75,21 +75,6 @@ def test_vector_observation_ahead_equals_the_prediction_of_a_held_command(twin):
     envs.close()
 
 
-def test_memory_of_a_batch_has_the_names_of_the_filters():
-    envs = gym.make_vec("USVTwin-v0", num_envs=2, twin="dsw-ukf-plus", **OPTIONS)
-    envs.reset(seed=1)
-    for _ in range(50):
-        envs.step(np.zeros(envs.action_space.shape))
-    base = envs.unwrapped
-    boats, twin = base.observer.boats, base.observer.twin(1).predictor
-    np.testing.assert_array_equal(boats["filter"]["P"][1], twin.ukf.P)
-    np.testing.assert_array_equal(boats["nav"]["n"][1], twin.n)
-    np.testing.assert_array_equal(boats["window"]["slow"][1], twin.window["slow"])
-    np.testing.assert_array_equal(boats["segments"]["params"][1], twin.segments.params)
-    assert np.shares_memory(boats["filter"]["P"], base.observer.memory.filter)
-    envs.close()
-
-
 def test_the_twin_of_an_environment_is_up_to_date():
     env = gym.make("USVTwin-v0", twin="ukf", **OPTIONS)
     twin = env.unwrapped.twin
@@ -115,9 +100,3 @@ def test_never_a_nan_in_an_observation_through_everything(twin):
     rows = sail(env, 1500)
     assert np.isfinite(rows).all()
     assert np.abs(rows).max() <= BOUND
-
-
-@pytest.mark.parametrize("period", [-1.0, float("nan"), float("inf")])
-def test_band_period_that_cannot_be(period):
-    with pytest.raises(ValueError, match="band_period"):
-        gym.make("USVTwin-v0", twin="ukf", band_period=period)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin import Log, Particulars
 from twin.sim.wrapper import log_of, make_env, make_vector_env
-from usv_kernel.errors import BoatIndexError, UsvTwinError
 
 DT = 0.05
 
@@ -69,16 +67,3 @@ def test_logs_of_a_vector_environment_are_those_of_single_ones(tmp_path):
         for action in actions[8:]:
             env.step(action[i])
         np.testing.assert_array_equal(log_of(envs, boat=i).truth, log_of(env).truth)
-
-
-def test_logs_that_there_are_not():
-    envs = make_vector_env(2, twin=None, record=True)
-    with pytest.raises(UsvTwinError, match="reset it"):
-        log_of(envs)
-    envs.reset(seed=0)
-    with pytest.raises(UsvTwinError, match="no episode of boat 1 has ended"):
-        log_of(envs, boat=1, ended=True)
-    with pytest.raises(BoatIndexError, match="boat = 2"):
-        log_of(envs, boat=2)
-    with pytest.raises(UsvTwinError, match="record = 1"):
-        make_vector_env(2, twin=None, record=1)

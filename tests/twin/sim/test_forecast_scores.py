@@ -17,7 +17,6 @@ from twin.sim.forecast_scores import HORIZONS, NAMES, ForecastScores, pooled
 from twin.sim.wrapper import log_of, make_env, make_vector_env
 from usv_gym import Fault
 from usv_gym.world.faults import FaultWarning
-from usv_kernel.errors import UsvTwinError
 
 LOSS = 12.0, 17.0
 OPTIONS = {"task": "free", "faults": [Fault("gps", LOSS[0], LOSS[1] - LOSS[0])]}
@@ -181,8 +180,3 @@ def test_scores_are_a_mapping_that_can_be_pickled_and_pooled():
     assert double["n"] == 2.0 * scores["n"]
     name = "held_10s_displacement_m"
     assert double[name] == pytest.approx(scores[name], rel=1e-12)
-
-
-def test_forecast_scores_must_be_true_or_false():
-    with pytest.raises(UsvTwinError, match="forecast_scores = 'yes'"):
-        make_env(forecast_scores="yes")

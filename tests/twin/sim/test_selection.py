@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +9,7 @@ from hypothesis import strategies as st
 
 from twin.agents.controllers import make_controller
 from twin.agents.evaluation import make_envs
-from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW, set_of
+from twin.sim.compact import COMPACT, COMPACT_ORACLE, COMPACT_PARAMS, COMPACT_RAW
 from twin.sim.wrapper import make_env, make_vector_env
 from usv_kernel.errors import UsvTwinError
 
@@ -94,19 +93,6 @@ def test_compact_sets_of_sensors_and_truth_have_the_scales_of_the_twin(
         assert value == pytest.approx(expected, abs=1e-5), entry.name
 
 
-def test_compact_entries_of_any_source_are_found_in_lists() -> None:
-    assert set_of(["compact_raw_surge", "to_go"]) == "raw"
-    assert set_of(["compact_true_surge", "compact_raw_surge"]) == "oracle"
-    assert set_of(["compact_surge", "compact_raw_surge"]) == "twin"
-    names = ["compact_raw_cross_track", "gps_age"]
-    listed, whole = make_env(observation=names), make_env(observation="compact_raw")
-    assert listed.observer.names == ()
-    first, all_of_it = listed.reset(seed=2)[0], whole.reset(seed=2)[0]
-    assert first[0] == all_of_it[whole.observation_names.index("compact_raw_cross_track")]
-    with pytest.raises(UsvTwinError, match="no set has all"):
-        set_of(["compact_surge", "compact_true_surge"])
-
-
 @pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "persistence"])
 @pytest.mark.parametrize("vessel", ["usv75", "usv75|otter"])
 def test_forecasts_that_nobody_reads_are_not_made_and_change_no_entry(twin, vessel) -> None:
@@ -140,18 +126,6 @@ def test_forecasts_are_made_where_they_are_shown_or_drawn(twin) -> None:
     np.testing.assert_array_equal(seen, whole[[NAMES.index(name) for name in names]])
     ahead = [env.observer.overlay(0).ahead for env in (pictured, full)]
     np.testing.assert_array_equal(*ahead)
-
-
-def test_near_is_full_within_two_lengths_of_the_end_of_a_leg() -> None:
-    env = make_env(twin="ukf", observation=["twin_to_go"], sea="0")
-    table = make_env(twin="ukf", observation="compact", sea="0").observer.selection
-    full = np.zeros((1, len(NAMES)), np.float32)
-    found = []
-    length = env.vessel.values["length_waterline"]
-    for to_go in (0.0, 1.9 * length, 2.0 * length, (2.0 + 4.0 / 3.0) * length):
-        full[0, NAMES.index("twin_to_go")] = to_go / 100.0
-        found.append(table.pick(full)[0, -1])
-    np.testing.assert_allclose(found, [3.0, 3.0, 3.0, 3.0 / np.e], rtol=1e-5)
 
 
 @pytest.mark.parametrize("vessel", ["usv75", "otter"])
@@ -204,12 +178,6 @@ def test_a_list_needs_no_twin_where_no_entry_is_of_one() -> None:
     assert env.observer.names == () and env.reset(seed=0)[0].shape == (2,)
     health = make_env(twin="ukf", observation=["health_gps", "twin_surge"])
     assert health.reset(seed=0)[0].shape == (2,)
-
-
-def test_compact_sets_serve_boats_of_several_kinds() -> None:
-    envs = gym.make_vec("USVTwin-v0", 4, vessel="usv75|otter", twin="ukf", observation="compact")
-    obs, _ = envs.reset(seed=0)
-    assert obs.shape == (4, 14) and np.isfinite(envs.step(np.zeros((4, 2)))[0]).all()
 
 
 def test_wrong_lists_are_refused() -> None:

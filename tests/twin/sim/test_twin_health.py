@@ -8,71 +8,47 @@ import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
-from twin.health.state import EXCLUDED, OK, SENSORS, STATUSES
+from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 from twin.sim import batched_twins
-from twin.sim.bridge import measurement_row
 from twin.sim.twin_observation import HEALTH_OBSERVATION, TWIN_OBSERVATION
-from twin.sim.wrapper import TwinObservation, make_env
+from twin.sim.wrapper import log_of, make_env
 from usv_gym.envs.episodes import OBSERVATION
-from usv_kernel.channels import GYRO
-from usv_kernel.errors import UsvTwinError
 
-OPTIONS = {"task": "free", "sea": "2"}
-GYRO_STOPS, COMMANDS_TURN, STEPS = 20.0, 45.0, 1000
-
-
-class BrokenRows:
-    """Alters the rows before the twins see them: the gyro freezes, commands change their sign."""
-
-    def __init__(self, env) -> None:
-        self.boats = env.simulation.boats
-        self.last = np.full(len(self.boats), np.nan)
-        self.rows = []
-        others = (one for one in env._callbacks if not isinstance(one, BrokenRows))
-        env._callbacks = (self, *others)
-
-    def observe(self, obs, look=True) -> None:
-        boats = self.boats
-        frozen = (boats["t"] >= GYRO_STOPS) & (boats["t"] < GYRO_STOPS + 8.0)
-        boats["measurement"][frozen, GYRO] = self.last[frozen]
-        self.last[:] = boats["measurement"][:, GYRO]
-        boats["command"][boats["t"] >= COMMANDS_TURN] *= -1.0
-        self.note()
-
-    def note(self) -> None:
-        """Keep the rows that the twins are about to take."""
-        boats = self.boats
-        self.rows.append((boats["t"].copy(), boats["measurement"].copy(), boats["command"].copy()))
-
-    def feed(self, twin, i) -> None:
-        """Feed a twin with the rows of boat i."""
-        for t, z, cmd in self.rows:
-            twin.step(t.item(i), measurement_row(z[i]), cmd[i])
+STEPS = 1000
+OPTIONS = {
+    "task": "free",
+    "sea": "2",
+    "faults": "gyro-frozen8@20+commands-sign100@45",
+    "record": True,
+}
 
 
 def sail(env, seed=1, steps=STEPS):
-    """Return the broken rows, the last observation and the last info of a run."""
-    base = env.unwrapped
-    broken = BrokenRows(base)
+    """Return the last observation and the last info of a run."""
     env.reset(seed=seed)
-    broken.note()
     rng = np.random.default_rng(0)
     for k in range(steps):
         if k % 60 == 0:
             action = np.array([rng.uniform(0.4, 0.9), rng.uniform(-1.0, 1.0)])
         obs, *_, info = env.step(np.broadcast_to(action, env.action_space.shape))
-    return broken, obs, info
+    return obs, info
+
+
+def feed(twin, log, first=0):
+    """Feed a twin with the rows of a log."""
+    for k in range(first, len(log)):
+        twin.step(log.t.item(k), log.z[k], log.cmd[k])
 
 
 @pytest.mark.parametrize("name", ["ukf", "dsw-ukf-plus"])
 def test_checks_of_a_batch_of_one_boat_and_of_a_twin_are_the_same_bits(name):
     envs = gym.make_vec("USVTwin-v0", num_envs=2, twin=name, **OPTIONS)
-    broken, seen, infos = sail(envs)
+    seen, infos = sail(envs)
     one = make_env(twin=name, **OPTIONS)
-    obs, info = sail(one, seed=2)[1:]
+    obs, info = sail(one, seed=2)
     np.testing.assert_array_equal(obs, seen[1])
     twin = Twin(one.twin.particulars, name)
-    broken.feed(twin, 1)
+    feed(twin, log_of(envs, boat=1))
     status = twin.monitor.record["sensors"]["status"]
     assert one.twin.notes == twin.notes != ()
     for other in (envs.unwrapped.twin(1), one.twin):
@@ -87,14 +63,13 @@ def test_checks_of_a_batch_of_one_boat_and_of_a_twin_are_the_same_bits(name):
 
 def test_a_copy_of_a_boats_twin_goes_on_as_the_boats_own():
     envs = gym.make_vec("USVTwin-v0", num_envs=2, twin="ukf", **OPTIONS)
-    broken = sail(envs, steps=540)[0]  # the gyro is left out
-    copy, taken = envs.unwrapped.twin(0), len(broken.rows)
+    sail(envs, steps=540)  # the gyro is left out
+    copy, taken = envs.unwrapped.twin(0), 541
     assert copy.health["gyro"].status == "excluded"
     assert copy.health["gyro"].since == pytest.approx(24.0, abs=4.0)
     for _ in range(100):
         envs.step(np.zeros(envs.action_space.shape))
-    broken.rows = broken.rows[taken:]
-    broken.feed(copy, 0)
+    feed(copy, log_of(envs, boat=0), taken)
     np.testing.assert_array_equal(copy.monitor.memory, envs.unwrapped.twin(0).monitor.memory)
     envs.close()
 
@@ -105,7 +80,7 @@ def test_an_episode_begins_with_sensors_that_are_trusted(name):
         make_env(twin=name, **OPTIONS),
         gym.make_vec("USVTwin-v0", num_envs=2, twin=name, **OPTIONS).unwrapped,
     ):
-        info = sail(env, steps=540)[2]
+        info = sail(env, steps=540)[1]
         assert np.all(info["twin_health_gyro"] == EXCLUDED)
         info = env.reset(seed=1)[1]
         assert np.all(info["twin_health_gyro"] == OK)
@@ -116,10 +91,10 @@ def test_an_episode_begins_with_sensors_that_are_trusted(name):
 
 def test_twins_asked_one_by_one_see_the_same_health(monkeypatch):
     compiled = make_env(twin="ukf", observation="twin_health", **OPTIONS)
-    ours = sail(compiled)[1]
+    ours = sail(compiled)[0]
     monkeypatch.setattr(batched_twins, "_COMPILED", {})
     separate = make_env(twin="ukf", observation="twin_health", **OPTIONS)
-    theirs = sail(separate)[1]
+    theirs = sail(separate)[0]
     assert isinstance(separate.observer, batched_twins.SeparateTwins)
     assert compiled.twin.health == separate.twin.health
     np.testing.assert_array_equal(ours[-len(SENSORS) :], theirs[-len(SENSORS) :])
@@ -133,21 +108,12 @@ def test_twin_health_says_how_far_each_sensor_is_trusted():
     values = {"absent": 0.0, "ok": 1.0, "doubtful": 0.5, "excluded": 0.0}
     assert set(values) == set(STATUSES)
     for steps in (0, 540, STEPS):
-        obs = sail(env, steps=steps)[1] if steps else env.reset(seed=1)[0]
-        alone = sail(plain, steps=steps)[1] if steps else plain.reset(seed=1)[0]
+        obs = sail(env, steps=steps)[0] if steps else env.reset(seed=1)[0]
+        alone = sail(plain, steps=steps)[0] if steps else plain.reset(seed=1)[0]
         np.testing.assert_array_equal(obs[:whole], alone)
         for name in SENSORS:
             shown = obs[env.observation_names.index(f"health_{name}")]
             assert shown == values[env.twin.health[name].status]
     seen = gym.make_vec("USVTwin-v0", num_envs=2, observation="twin_health", twin="ukf", **OPTIONS)
-    np.testing.assert_array_equal(sail(seen)[1][0], obs)
+    np.testing.assert_array_equal(sail(seen)[0][0], obs)
     seen.close()
-
-
-def test_the_wrapper_offers_the_sets_of_a_twin():
-    env = TwinObservation(make_env(twin=None, **OPTIONS), "ukf", observation="twin_health")
-    info = env.reset(seed=1)[1]
-    assert env.observation_space.shape == (len(OBSERVATION) + len(TWIN_OBSERVATION) + 5,)
-    assert {f"twin_health_{name}" for name in SENSORS} < set(info)
-    with pytest.raises(UsvTwinError, match="twin_params"):
-        TwinObservation(make_env(twin=None, **OPTIONS), "ukf", observation="raw")

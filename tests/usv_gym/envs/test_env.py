@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 import usv_gym
 from tests.usv_gym.envs.acting import actions_of, episode
 from twin import Twin
-from twin.health.state import SENSORS
+from twin.integrity.state import SENSORS
 from twin.predictors.registry import PredictorError
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION
 from twin.sim.bridge import particulars_of

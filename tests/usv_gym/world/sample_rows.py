@@ -11,9 +11,12 @@ from usv_gym.world import anemometer, sensors
 from usv_gym.world.channels import BITS
 from usv_gym.world.faults import (
     CHANNELS,
+    STRUCK,
     Disturbance,
     fault_records,
+    memory_rows,
     seed_faults,
+    strike,
 )
 from usv_gym.world.state import BOAT as BOAT_RECORD
 from usv_kernel.channels import SENSOR_CHANNELS
@@ -49,6 +52,8 @@ def rows(
         channels = CHANNELS
     wind = np.random.default_rng([seed, 1]).standard_normal((count, anemometer.WIND_NOISE_SIZE))
     line = np.zeros((suite.wind_rows(dt), anemometer.WIND_ROWS))
+    memory = np.zeros((memory_rows(faults, dt), 1 + STRUCK))
+    row = np.zeros(STRUCK)
     packed, delay_line = suite.pack(dt), np.zeros((suite.delay_rows(dt), sensors.DELAYED))
     boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, channels))
     if state is not None:
@@ -62,6 +67,8 @@ def rows(
         boat["t"], boat["step"] = k * dt, k
         if suite.has_anemometer:
             anemometer.measure_wind(boat, (5.0, 4.0), packed, wind[k], line)
-        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], motion[k], records, delay_line)
-        z[k] = boat["measurement"][:channels]
+        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], motion[k], delay_line)
+        row[:CHANNELS] = boat["measurement"]
+        strike(k * dt, k, records, boat["sensors"]["last"], memory, row)
+        z[k] = row[:channels]
     return z

@@ -18,7 +18,6 @@ from usv_gym.physics import frames as fr
 from usv_gym.world import sensors
 from usv_gym.world.faults import (
     FaultError,
-    fault_records,
 )
 from usv_gym.world.sampling import is_due
 from usv_gym.world.simulation import Simulation
@@ -39,8 +38,7 @@ def sample(suite: SensorSuite, state: np.ndarray, rate: np.ndarray, dt: float = 
     boat = np.zeros(1, BOAT_RECORD)[0]
     boat["state"], boat["mean_rate"], boat["t"], boat["step"] = state, rate, 1.0, 20
     numbers, delay_line = np.zeros(sensors.NOISE_SIZE), np.zeros((1, sensors.DELAYED))
-    faults = fault_records((), dt)
-    sensors.measure(boat, dt, suite.pack(dt), numbers, MOTION, faults, delay_line)
+    sensors.measure(boat, dt, suite.pack(dt), numbers, MOTION, delay_line)
     return boat["measurement"][: sensors.WIND_AT].copy()
 
 

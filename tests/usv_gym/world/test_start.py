@@ -10,7 +10,7 @@ import pytest
 
 from usv_gym import Fault, SeaState, Vessel
 from usv_gym.world.faults import (
-    CHANNELS,
+    STRUCK,
     Bursts,
     RandomFaults,
     fault_records,
@@ -115,7 +115,8 @@ def test_started_faults_are_those_that_are_seeded() -> None:
         ]
         expected = fault_records(faults, simulation.dt)
         seed_faults(expected, faults, rng)
-        strike(0.0, expected, np.zeros(CHANNELS), np.zeros(CHANNELS))  # as the sensors begin
+        last, memory = np.zeros(STRUCK), np.zeros((0, 1 + STRUCK))
+        strike(0.0, 0, expected, last, memory, np.zeros(STRUCK))  # as the sensors begin
         found = simulation.faults[0]
         assert np.isnan(found["start"][len(faults) :]).all()
         np.testing.assert_array_equal(found[: len(faults)], expected)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import reference_of
 from twin.channels import PSI, R, U, V
-from twin.logs import datasets
+from twin.logs.datasets import known_ship
 from twin.logs.files import CsvFile
 from twin.logs.log import Log
 from twin.predictors.baselines import hold_velocity
@@ -102,7 +102,7 @@ def _velocities_of_file(path: str) -> list[tuple[Array, Array]]:
 
     names = ("t_s", *VELOCITIES)
     # elsewhere a mapping may have given these names another meaning
-    if not datasets.known(path) or not set(names) <= set(CsvFile(Path(path)).header):
+    if known_ship(path) is None or not set(names) <= set(CsvFile(Path(path)).header):
         return []
     frame = pl.read_csv(path, columns=list(names), infer_schema_length=None)
     columns = [frame[name].cast(pl.Float64).to_numpy() for name in names]

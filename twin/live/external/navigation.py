@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, U, V, X, Y
 from twin.live.external.peer import ACCEPTED, HOLD, AutopilotPeer
-from twin.live.protocols.jumps import JumpCounter
-from twin.live.protocols.mavlink import ONBOARD, ORIGIN_MESSAGE, REQUEST_MESSAGE, MavlinkWriter
+from twin.live.protocols.mavlink import (
+    ONBOARD,
+    ORIGIN_MESSAGE,
+    REQUEST_MESSAGE,
+    JumpCounter,
+    MavlinkWriter,
+)
 from twin.logs.datum import Plane
 from twin.predictors.base import Estimate
 from usv_kernel.channels import GPS_X, GPS_Y
@@ -139,7 +144,7 @@ class ExternalNavigation:
         self.source = GPS_SOURCE
         self._wanted = GPS_SOURCE
         self._asked = self._greeted = self._origin_asked = self._fix_sent = -math.inf
-        self._fixed = self._begun = math.nan
+        self._fixed = math.nan
         self._interval = 0.2
         self._moving, self._last = 0.0, math.nan
         self._agreed: float | None = None

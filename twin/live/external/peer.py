@@ -1,11 +1,14 @@
-"""What an autopilot says of itself, gathered from its MAVLink messages."""
+"""An autopilot at a UDP port: what it says of itself in MAVLink, and answers to it."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["ACCEPTED", "AUTO", "HOLD", "MODES", "AutopilotPeer"]
+from twin.live.protocols.sockets import Address, needed, open_socket
+
+__all__ = ["ACCEPTED", "HOLD", "AutopilotPeer", "MavlinkPort"]
 
 AUTOPILOT = 1
 """Component MAV_COMP_ID_AUTOPILOT1."""
@@ -13,16 +16,18 @@ AUTOPILOT = 1
 ARMED = 128
 """Flag MAV_MODE_FLAG_SAFETY_ARMED."""
 
-MODES = {0: "Manual", 1: "Acro", 3: "Steering", 4: "Hold", 5: "Loiter", 10: "Auto", 11: "RTL"}
-"""Modes of ArduPilot's Rover by number, as far as they are named in messages."""
-
-HOLD, AUTO = 4, 10
+HOLD = 4
+"""Mode of ArduPilot's Rover."""
 
 ACCEPTED = 0
 """MAV_RESULT_ACCEPTED."""
 
 TEXTS = 50
 """So many texts are kept."""
+
+
+DATAGRAMS_MAX = 200
+"""So many datagrams are read at most in one call; the rest waits for the next."""
 
 
 class AutopilotPeer:
@@ -34,7 +39,7 @@ class AutopilotPeer:
         Its system; None before its first heartbeat.
     armed : bool
     mode : int or None
-        Custom mode, see :data:`MODES`.
+        Custom mode of ArduPilot's Rover.
     origin : tuple of float or None
         Latitude and longitude of its local frame, degrees.
     results : dict of int to int
@@ -58,11 +63,6 @@ class AutopilotPeer:
         self.parameters: dict[str, float] = {}
         self.texts: deque[str] = deque(maxlen=TEXTS)
 
-    @property
-    def mode_name(self) -> str:
-        """Name of its mode."""
-        return MODES.get(-1 if self.mode is None else self.mode, f"mode {self.mode}")
-
     def hear(self, item: Any) -> None:
         """Take a message of pymavlink; those of others are passed over."""
         if item.get_srcComponent() != AUTOPILOT:
@@ -85,3 +85,57 @@ class AutopilotPeer:
             self.parameters[str(item.param_id)] = float(item.param_value)
         elif kind == "STATUSTEXT":
             self.texts.append(str(item.text).rstrip("\0"))
+
+
+class MavlinkPort:
+    """Hears one autopilot at ``udp://HOST:PORT``, and answers to where it speaks from.
+
+    ``counts`` has the messages that came, those that were broken, and the datagrams sent and
+    unsent. Nothing that comes over the wire raises.
+    """
+
+    def __init__(self, address: str, peer: AutopilotPeer) -> None:
+        self.peer = peer
+        self._parser = needed("pymavlink.dialects.v20.ardupilotmega").MAVLink(None)
+        self._parser.robust_parsing = True
+        self.counts = dict.fromkeys(("received", "broken", "sent", "unsent"), 0)
+        self._socket = open_socket(address, bind=True)[0]
+        self._target: Address | None = None
+
+    @property
+    def port(self) -> int:
+        """Number of the port."""
+        return int(self._socket.getsockname()[1])
+
+    def poll(self) -> None:
+        """Take what has come."""
+        for _ in range(DATAGRAMS_MAX):
+            try:
+                data, source = self._socket.recvfrom(1 << 16)
+            except BlockingIOError:
+                return
+            except OSError:  # an earlier answer was refused
+                continue
+            for item in self._parser.parse_buffer(data) or ():
+                self.counts["received"] += 1
+                if item.get_type() == "BAD_DATA":
+                    self.counts["broken"] += 1
+                    continue
+                self.peer.hear(item)
+                if item.get_srcSystem() == self.peer.system:
+                    self._target = source
+
+    def send(self, datagrams: Iterable[bytes]) -> None:
+        """Send datagrams to the autopilot, once it is known."""
+        for data in datagrams:
+            if self._target is None:
+                continue
+            try:
+                self._socket.sendto(data, self._target)
+                self.counts["sent"] += 1
+            except OSError:
+                self.counts["unsent"] += 1
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._socket.close()

@@ -1,9 +1,11 @@
-"""A simulated boat under an autopilot, with its log, and its twin as external navigation."""
+"""A simulated boat under an autopilot, its log, its twin as external navigation, and its page."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +13,28 @@ from numpy.typing import NDArray
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation
-from twin.live.external.port import MavlinkPort
+from twin.live.external.peer import MavlinkPort
 from twin.live.protocols.mavlink import ONBOARD, MavlinkWriter
+from twin.live.sessions.session import MAX_LAG, Session, Snapshot, sea_of
+from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.sim.bridge import CONTROL_STEP, TRUE_STATE, VERTICAL, measurement_row
 from usv_gym.sitl.backend import Backend
+from usv_gym.sitl.server import Server
 from usv_gym.world.channels import GPS_BIT
 from usv_gym.world.faults import EFFECTS, FAULT_KINDS, Disturbance
 from usv_gym.world.sensors import SensorSuite
 
-__all__ = ["GPS_RATE", "AutopilotRun", "suite_of", "unmirrored"]
+__all__ = ["GPS_RATE", "AutopilotRun", "SitlSession", "suite_of", "unmirrored"]
 
 Array = NDArray[np.float64]
 
 GPS_RATE = 5.0
 """Fixes per second of the receivers that autopilots have, Hz."""
+
+POLL = 0.02
+"""Longest wait for a packet, s; the page is to be answered meanwhile."""
 
 RECEIVER, RETRY = "SIM_GPS1_ENABLE", 0.2
 """Parameter that switches the receiver of ArduPilot's simulator, and the time, s, after which the
@@ -143,7 +151,7 @@ class AutopilotRun:
     def _take_row(self, t: float) -> None:
         """Hand a row to log, twin and navigation."""
         sim, state = self.backend.simulation, self.backend.simulation.state[0]
-        z, cmd = measurement_row(self._z), sim.cmd[0].copy()
+        z, cmd = measurement_row(self._z), sim.reported[0].copy()
         truth, motion = state[list(TRUE_STATE)], state[list(VERTICAL)]
         self._rows.append((t, z, cmd, truth, motion))
         if self.port is not None:
@@ -192,3 +200,57 @@ def _strikes(fault: np.void, t: float) -> bool:
     if not (int(fault["bits"]) & GPS_BIT and fault["effect"] == EFFECTS["loss"]):
         return False
     return bool(fault["start"] <= t < fault["end"] or fault["bursting"])
+
+
+class SitlSession(Session):
+    """A simulated boat that an autopilot steers, with its twin.
+
+    The page can look on and record logs; time is that of the autopilot.
+    """
+
+    has_truth = True
+
+    offers = "record logs to the folder of --out"
+
+    def __init__(self, server: Server, run: AutopilotRun, twin: Twin, folder: Path) -> None:
+        simulation = run.backend.simulation
+        super().__init__(simulation.vessel, twin.particulars, folder)
+        self.server, self.run = server, run
+        self.monitor = TwinMonitor(twin)
+        run.on_row, run.step_twin = self._keep, self._step
+
+    def _step(self, t: float, z: Array, cmd: Array, truth: Array) -> None:
+        if not t > self.monitor.t and np.isfinite(self.monitor.t):  # the autopilot began again
+            self.monitor = TwinMonitor(self.monitor.twin)
+            self.snapshot = None
+            self.changed += 1
+        self.monitor.step(t, z, cmd, truth)
+
+    def _advance(self) -> None:
+        until = time.monotonic() + MAX_LAG
+        while self.server.poll(POLL) and time.monotonic() < until:
+            pass
+
+    def _rest(self) -> float:
+        return 0.0
+
+    def _look(self) -> Snapshot | None:
+        if not np.isfinite(self.monitor.t):
+            return None
+        sim = self.run.backend.simulation
+        rate = self._rate(self.monitor.t)
+        return self._seen(sim.state[0].copy(), sea=sea_of(sim), rate=rate, notes=self.notes)
+
+    @property
+    def datum(self) -> Datum:
+        """The autopilot's home."""
+        return self.run.datum
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """State of external navigation, and what came of the autopilot, in words."""
+        counts = self.run.backend.counts
+        text = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
+        if self.run.navigation is None:
+            return (text,)
+        return f"external navigation: {self.run.navigation.status}", text

@@ -270,8 +270,8 @@ class Feed(ABC):
         """Yield the datagrams of the twin's estimate and prediction."""
 
     @abstractmethod
-    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
-        """Return the datagram of a sensor's new status, at a time of day or of the sender (s)."""
+    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
+        """Return the datagram of a sensor's new status, and why; ``stamp`` in s."""
 
     def greet(self, now: float) -> Iterator[bytes]:
         """Yield datagrams that are due now whatever is known."""
@@ -359,7 +359,8 @@ class Feed(ABC):
             # sensors that are well, or were never there, are no news at first
             before = self._sent_health.get(sensor, status.status if status.why == "" else "")
             if status.status != before:
-                self._send(self.encode_health(self.stamp_of(estimate.t), sensor, status))
+                stamp = self.stamp_of(estimate.t)
+                self._send(self.encode_health(stamp, sensor, status.status, status.why))
             self._sent_health[sensor] = status.status
 
     def post(self, datagrams: Iterable[bytes]) -> None:

@@ -31,10 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS, PSI, R, U, V
-from twin.integrity.monitor import SensorStatus
+from twin.channels import PSI, R, U, V, X, Y
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
 from twin.live.protocols.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
@@ -43,6 +41,7 @@ from twin.tilt import body_velocity, body_yaw_rate
 from usv_kernel.servos import Servos
 
 __all__ = [
+    "JumpCounter",
     "MavlinkFeed",
     "MavlinkWriter",
     "Servos",
@@ -76,6 +75,34 @@ ALL_PARTS = 2 ** len(_IMU_PARTS) - 1
 
 AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
+
+
+JUMP = 0.5
+"""An estimate that moves by more than its velocity explains and this, m, has jumped."""
+
+
+class JumpCounter:
+    """Counts the jumps of an estimate, as the field ``reset_counter`` of ODOMETRY does.
+
+    An EKF refuses a place far from its own, unless the counter says that the estimate was reset.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last: tuple[float, float, float, float, float] | None = None
+
+    def take(self, t: float, state: Array) -> int:
+        """Take a time (s) and state (6,), in order; return the count, from 0 to 255."""
+        c, s = math.cos(state[PSI]), math.sin(state[PSI])
+        north, east = state[U] * c - state[V] * s, state[U] * s + state[V] * c
+        if self._last is not None:
+            before, x, y, vx, vy = self._last
+            dt = t - before
+            ahead = x + 0.5 * dt * (vx + north), y + 0.5 * dt * (vy + east)
+            if math.dist(ahead, (state[X], state[Y])) > JUMP:
+                self.count = (self.count + 1) % 256
+        self._last = t, float(state[X]), float(state[Y]), float(north), float(east)
+        return self.count
 
 
 class MavlinkFeed(Feed):
@@ -163,16 +190,16 @@ class MavlinkFeed(Feed):
                 made = self.stamp_of(prediction.t0)
                 yield write.trajectory(made, mean)
                 sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
-                yield write.deviations(made, np.column_stack([horizons, sd]))
+                yield write.floats(made, b"sd_pos", np.column_stack([horizons, sd]))
             if (ahead := prediction.motion) is not None:
                 times = (0.0, *MOTION_HORIZONS)
                 table = np.column_stack([times, *ahead.at(times)])
                 yield write.floats(self.stamp_of(prediction.t0), b"motion", table)
                 yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.known_quiet)
 
-    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
         """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""
-        return self._writer.text(status.why or f"{sensor} {status.status}", status.status != "ok")
+        return self._writer.text(why or f"{sensor} {status}", status != "ok")
 
     def _message(self, item: Any) -> Message | str:
         """Return what a message says, or how it counts."""
@@ -293,12 +320,11 @@ class MavlinkFeed(Feed):
 
 
 class MavlinkWriter:
-    """Messages of a component, each as a datagram; ``servos`` are for :meth:`row`."""
+    """Messages of a component, each as a datagram."""
 
-    def __init__(self, system: int = 1, component: int = 1, servos: Servos | None = None) -> None:
-        self._dialect = needed("pymavlink.dialects.v20.ardupilotmega")  # the common set, and WIND
-        self._link = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
-        self.servos = servos
+    def __init__(self, system: int = 1, component: int = 1) -> None:
+        self.dialect = needed("pymavlink.dialects.v20.ardupilotmega")  # the common set, and WIND
+        self._link = self.dialect.MAVLink(None, srcSystem=system, srcComponent=component)
 
     @property
     def system(self) -> int:
@@ -311,14 +337,14 @@ class MavlinkWriter:
 
     def parser(self) -> Any:
         """Return a new parser of messages that goes on after broken ones."""
-        made = self._dialect.MAVLink(None)
+        made = self.dialect.MAVLink(None)
         made.robust_parsing = True
         return made
 
     def heartbeat(self, kind: str = "MAV_TYPE_ONBOARD_CONTROLLER") -> bytes:
         """Return the sign of life of a system of some kind."""
-        d = self._dialect
-        return self._pack(
+        d = self.dialect
+        return self.pack(
             d.MAVLink_heartbeat_message(
                 getattr(d, kind), d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3
             )
@@ -345,8 +371,8 @@ class MavlinkWriter:
         # 0 stands for no height
         height = 0 if math.isnan(down[0]) else round(-1000.0 * down[0]) or 1
         vz = UNKNOWN_SPEED if math.isnan(down[1]) else round(100.0 * down[1])
-        made = self._dialect.MAVLink_global_position_int_message
-        return self._pack(made(_ms(stamp), lat, lon, height, 0, vx, vy, vz, course))
+        made = self.dialect.MAVLink_global_position_int_message
+        return self.pack(made(_ms(stamp), lat, lon, height, 0, vx, vy, vz, course))
 
     def attitude(
         self,
@@ -358,27 +384,8 @@ class MavlinkWriter:
     ) -> bytes:
         """Return heading, roll and pitch, rad, and rates, rad/s; NaN where it is not known."""
         yaw = math.remainder(heading, 2.0 * math.pi)
-        made = self._dialect.MAVLink_attitude_message
-        return self._pack(made(_ms(stamp), *tilt, yaw, *rates, rate))
-
-    def imu(self, stamp: float, force: tuple[float, float, float]) -> bytes:
-        """Return the specific force forward, to starboard and down, m/s2; NaN where unknown."""
-        made = self._dialect.MAVLink_highres_imu_message
-        known = [not math.isnan(value) for value in force]
-        numbers = (value if here else 0.0 for value, here in zip(force, known, strict=True))
-        still = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        # bits of the last field: which parts are new
-        flags = sum(here << bit for bit, here in enumerate(known))
-        return self._pack(made(round(1e6 * stamp), *numbers, *still, flags))
-
-    def wind(self, stamp: float, known: dict[str, float]) -> list[bytes]:
-        """Return the true wind of measurements by name; no message holds the apparent one."""
-        speed, angle = known["wind_mps"], known["wind_from_rad"]
-        if math.isnan(speed) or math.isnan(angle):
-            return []
-        made = self._dialect.MAVLink_wind_cov_message
-        air = -speed * math.cos(angle), -speed * math.sin(angle), 0.0
-        return [self._pack(made(round(1e6 * stamp), *air, *[math.nan] * 5))]
+        made = self.dialect.MAVLink_attitude_message
+        return self.pack(made(_ms(stamp), *tilt, yaw, *rates, rate))
 
     def odometry(
         self,
@@ -400,7 +407,7 @@ class MavlinkWriter:
         it from arming. Variances of what is not estimated are 0. Velocities and rates are in the
         axes of the heeled boat; ArduPilot turns them back by the quaternion.
         """
-        d = self._dialect
+        d = self.dialect
         x, y, psi, u, v, r = estimate.state.tolist()
         sd, motion = estimate.sd, estimate.motion
         velocity, rates = [u, v, 0.0], (0.0, 0.0, r)
@@ -430,20 +437,20 @@ class MavlinkWriter:
             estimator_type=d.MAV_ESTIMATOR_TYPE_GPS_INS,
             quality=quality,
         )
-        return self._pack(made)
+        return self.pack(made)
 
     def command(self, system: int, command: int, *parameters: float) -> bytes:
         """Return a COMMAND_LONG to the autopilot of a system, with up to seven parameters."""
         values = [*parameters, *[0.0] * (7 - len(parameters))]
-        made = self._dialect.MAVLink_command_long_message
-        return self._pack(made(system, AUTOPILOT, command, 0, *values))
+        made = self.dialect.MAVLink_command_long_message
+        return self.pack(made(system, AUTOPILOT, command, 0, *values))
 
     def parameter(self, system: int, name: str, value: float) -> bytes:
         """Return the order to set a parameter of the autopilot of a system."""
-        d = self._dialect
+        d = self.dialect
         kind = d.MAV_PARAM_TYPE_REAL32
         made = d.MAVLink_param_set_message
-        return self._pack(made(system, AUTOPILOT, name.encode(), value, kind))
+        return self.pack(made(system, AUTOPILOT, name.encode(), value, kind))
 
     def fix(
         self,
@@ -458,7 +465,7 @@ class MavlinkWriter:
 
         ``sd`` are the standard deviations of place (m) and speed (m/s).
         """
-        d = self._dialect
+        d = self.dialect
         unused = (
             d.GPS_INPUT_IGNORE_FLAG_ALT
             | d.GPS_INPUT_IGNORE_FLAG_VDOP
@@ -485,7 +492,7 @@ class MavlinkWriter:
             vert_accuracy=0.0,
             satellites_visible=12 if valid else 0,
         )
-        return self._pack(made)
+        return self.pack(made)
 
     def trajectory(self, stamp: float, states: Array) -> bytes:
         """Return up to five predicted states, shape (n, 6)."""
@@ -496,8 +503,8 @@ class MavlinkWriter:
         columns = (states[:, 0], states[:, 1], still, north, east, still)
         x, y, z, vx, vy, vz = (_five(column) for column in columns)
         yaw, rate = _five(states[:, PSI]), _five(states[:, R])
-        return self._pack(
-            self._dialect.MAVLink_trajectory_representation_waypoints_message(
+        return self.pack(
+            self.dialect.MAVLink_trajectory_representation_waypoints_message(
                 round(1e6 * stamp),
                 len(states),
                 x,
@@ -517,52 +524,18 @@ class MavlinkWriter:
 
     def text(self, text: str, warning: bool) -> bytes:
         """Return a text for the operator, cut to 50 letters."""
-        d = self._dialect
+        d = self.dialect
         severity = d.MAV_SEVERITY_WARNING if warning else d.MAV_SEVERITY_INFO
-        return self._pack(d.MAVLink_statustext_message(severity, text.encode()[:50]))
-
-    def deviations(self, stamp: float, table: Array) -> bytes:
-        """Return seconds ahead and standard deviations north and east, shape (n, 3)."""
-        return self.floats(stamp, b"sd_pos", table)
+        return self.pack(d.MAVLink_statustext_message(severity, text.encode()[:50]))
 
     def floats(self, stamp: float, name: bytes, table: Array) -> bytes:
         """Return up to 58 numbers under a name."""
         data = [*table.ravel().tolist(), *[0.0] * (58 - table.size)]
-        made = self._dialect.MAVLink_debug_float_array_message
-        return self._pack(made(round(1e6 * stamp), name, 0, data))
+        made = self.dialect.MAVLink_debug_float_array_message
+        return self.pack(made(round(1e6 * stamp), name, 0, data))
 
-    def row(
-        self, stamp: float, z: Array, cmd: Array, place: tuple[float, float] | None
-    ) -> list[bytes]:
-        """Return the messages of one row of a log, a time (s) after the autopilot started.
-
-        ``z`` (19,) has NaN where there is no measurement; ``place`` is latitude and longitude of
-        the fix, degrees.
-        """
-        known = dict.fromkeys(MEASUREMENTS, math.nan)
-        known |= zip(MEASUREMENTS, z.tolist(), strict=False)
-        velocity = known["gps_vx_mps"], known["gps_vy_mps"]
-        moves = not any(map(math.isnan, velocity))
-        heading, rate = known["compass_rad"], known["gyro_radps"]
-        made = []
-        if place is not None or moves:
-            down = known["gps_z_m"], known["gps_vz_mps"]
-            made.append(self.position(stamp, place, velocity if moves else None, down=down))
-        tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
-        rates = known["gyro_x_radps"], known["gyro_y_radps"]
-        if not all(map(math.isnan, (heading, rate, *tilt, *rates))):
-            made.append(self.attitude(stamp, heading, rate, tilt, rates))
-        force = known["accel_x_mps2"], known["accel_y_mps2"], known["accel_z_mps2"]
-        if not all(map(math.isnan, force)):
-            made.append(self.imu(stamp, force))
-        made += self.wind(stamp, known)
-        if self.servos is not None:
-            message = self._dialect.MAVLink_servo_output_raw_message
-            micros = round(1e3 * round(1e3 * stamp)) % int(WRAP)
-            made.append(self._pack(message(micros, 0, *self.servos.widths(cmd))))
-        return made
-
-    def _pack(self, message: Any) -> bytes:
+    def pack(self, message: Any) -> bytes:
+        """Return a message as the next one of this component."""
         packed = bytes(message.pack(self._link))
         self._link.seq = (self._link.seq + 1) % 256
         return packed

@@ -46,31 +46,36 @@ Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import date, datetime, timezone
+from datetime import UTC, date, datetime, time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, R
-from twin.integrity.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.nmea_writer import DAY, KNOT, NmeaWriter
 from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
+    "DAY",
     "HORIZONS",
+    "KNOT",
     "NmeaFeed",
+    "NmeaWriter",
+    "clock_text",
 ]
 
 Array = NDArray[np.float64]
+
+DAY = 86400.0
+
+KNOT = 1852.0 / 3600.0
 
 OWN = "U9"
 """Talker of what the twin says."""
@@ -81,14 +86,11 @@ HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
 MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0)
 """Those of roll, pitch and heave."""
 
-SAID = 64
-"""So many of our own sentences without a talker are known again."""
-
 LENGTH_MAX = 1024
 """Longest line that counts as a sentence, characters."""
 
-NO_FIX = {0: "none", 6: "estimated"}
-"""GGA qualities that measure nothing, ..."""
+NO_FIX = (0, 6)
+"""GGA qualities that measure nothing (none, estimated), ..."""
 
 NO_MODE = ("N", "E")
 """... and modes of RMC."""
@@ -99,8 +101,8 @@ TILTED = {"PTCH": "pitch", "PITCH": "pitch", "ROLL": "roll", "HEEL": "roll"}
 GYROS = {"roll": "gyro_x_radps", "pitch": "gyro_y_radps"}
 """Columns of their rates."""
 
-ASHTECH = ("ATT", "AT2", "HPR")
-"""Kinds of PASHR with pitch before roll."""
+ASHTECH = {"ATT": "ATT", "AT2": "ATT", "HPR": "HPR"}
+"""Kinds of PASHR of Ashtech that are read, and the kind whose fields they begin with."""
 
 SPEED_UNITS = {"M": 1.0, "N": KNOT, "K": 1.0 / 3.6, "S": 0.44704}
 """Units of a wind speed: m/s, knots, km/h, and statute miles an hour."""
@@ -118,12 +120,12 @@ class NmeaFeed(Feed):
     modulus = DAY
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        self._parser = needed("pynmea2")
+        self._library = needed("pynmeagps")
         self._writer = NmeaWriter(OWN)
         self._rest = ""
         self._seconds: dict[str, float] = {}
         # a PASHR has no talker: what we said is known by its words
-        self._said: deque[str] = deque(maxlen=SAID)
+        self._said: deque[str] = deque(maxlen=64)
         self._epoch = math.nan, math.nan
         self._date: tuple[date, float] | None = None
         super().__init__(*args, **options)
@@ -172,14 +174,14 @@ class NmeaFeed(Feed):
             lines.append(write.quiet(made, motion.known_quiet))
         yield "".join(lines).encode()
 
-    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
         """See :meth:`Feed.encode_health`."""
-        return self._writer.health(stamp, sensor, status.status).encode()
+        return self._writer.health(stamp, sensor, status).encode()
 
     def _day(self, stamp: float) -> date:
         """Return the date of a time of day: that of the last date received, or the nearest."""
         if self._date is None:
-            return datetime.now(timezone.utc).date()
+            return datetime.now(UTC).date()
         given, at = self._date
         turn = round((at - stamp) / DAY)
         return date.fromordinal(min(max(given.toordinal() + turn, 1), date.max.toordinal()))
@@ -211,27 +213,14 @@ class NmeaFeed(Feed):
                 return "unknown"
             if line[:1] != "$":
                 return "broken"
-            sentence = self._parser.parse(line, check=True)
-            if isinstance(sentence, self._parser.ProprietarySentence):
-                if line in self._said:
-                    return "own"
-                if line.startswith("$PASHR,"):
-                    return _ashr(line[1:].partition("*")[0].split(","))
-                return "own" if line.startswith("$PUTW") else "unknown"
-            if getattr(sentence, "talker", "") == OWN:
-                return "own"
-            read = _READERS.get(getattr(sentence, "sentence_type", ""))
-            if read is None:
-                return "unknown"
-            message = read(sentence)
-            if isinstance(message, str):
-                return message
-            if sentence.sentence_type in ("RMC", "ZDA"):
-                self._tell_date(sentence)
-        except self._parser.SentenceTypeError:
-            return "unknown"
-        except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
+            message = self._read(line)
+        except (
+            *(ValueError, ArithmeticError, LookupError, TypeError, AttributeError),
+            *(self._library.NMEAMessageError, self._library.NMEATypeError),
+        ):
             return "broken"
+        if isinstance(message, str):
+            return message
         if tagged is None or (tagged == self._seconds.get(message.kind)):
             return message
         if tagged == math.floor(tagged):
@@ -242,92 +231,96 @@ class NmeaFeed(Feed):
             tagged = self._epoch[1]
         return replace(message, stamp=tagged)
 
+    def _read(self, line: str) -> Message | str:
+        """Return what a sentence says, or how it counts; raise if it cannot be read."""
+        content, talker, kind, fields, checksum = self._library.get_parts(line)
+        if self._library.calc_checksum(content) != checksum.upper():
+            return "broken"
+        if talker == OWN or content.startswith("PUTW") or line in self._said:
+            return "own"
+        if kind not in _READERS or (talker == "P") != (kind == "ASHR"):
+            return "unknown"
+        if kind == "ASHR" and fields[0][:1].isalpha():
+            if fields[0] not in ASHTECH:
+                return "unknown"
+            fields[0] = ASHTECH[fields[0]]
+        sentence = self._library.NMEAMessage(talker, kind, 0, payload=fields, checksum=checksum)
+        if kind in ("RMC", "ZDA"):
+            self._tell_date(sentence)
+        return _READERS[kind](sentence)
+
     def _tag(self, line: str) -> tuple[float | None, str]:
         """Return the time of a TAG block, s of the day, and the line without the block."""
         if line[:1] != "\\":
             return None, line
         found = _TAG.match(line)
-        if found is None or self._parser.NMEASentence.checksum(found[1]) != int(found[2], 16):
+        if found is None or self._library.calc_checksum(found[1]) != found[2].upper():
             raise FeedError("no TAG block")
-        stamp = None
+        rest = line[found.end() :]
         for code in found[1].split(","):
             if code.startswith("c:"):
-                stamp = _number(code[2:])
-        if stamp is None:
-            return None, line[found.end() :]
-        return math.fmod(stamp / 1000.0 if abs(stamp) > 1e11 else stamp, DAY), line[found.end() :]
+                stamp = float(code[2:])
+                # UNIX time, s or ms
+                return math.fmod(stamp / 1000.0 if abs(stamp) > 1e11 else stamp, DAY), rest
+        return None, rest
 
     def _tell_date(self, sentence: Any) -> None:
-        if sentence.sentence_type == "RMC":
-            given = sentence.datestamp
+        """Keep the date of an RMC or ZDA, and when it held."""
+        if sentence.msgID == "RMC":
+            given = sentence.date
+        elif "" in (sentence.year, sentence.month, sentence.day):
+            return
         else:
-            given = None
-            with contextlib.suppress(TypeError, ValueError):
-                given = date(sentence.year, sentence.month, sentence.day)
-        at = _time(sentence)
-        if isinstance(given, date) and at is not None:
-            self._date = given, at
+            given = date(sentence.year, sentence.month, sentence.day)
+        if isinstance(given, date) and isinstance(sentence.time, time):
+            self._date = given, _seconds(sentence.time)
 
 
-def _number(text: Any) -> float | None:
-    """Return a field as a number, None if it is empty; raise for what is none."""
-    if text is None or text == "":
+def _seconds(moment: time) -> float:
+    """Return the time of day, s."""
+    return 3600.0 * moment.hour + 60.0 * moment.minute + moment.second + 1e-6 * moment.microsecond
+
+
+def _stamp(moment: time | str, text: str) -> float | None:
+    """Return the time of day of a field, s; None if it is empty."""
+    if isinstance(moment, str):
+        if text:
+            raise FeedError(f"{text}: no time of day")
         return None
-    value = float(text)
-    if not math.isfinite(value):
-        raise FeedError(f"{text}: no number")
-    return value
+    return _seconds(moment)
 
 
-def _angle(text: str, side: str, sides: str, digits: int) -> float | None:
-    """Return an angle, degrees, of ``ddmm.mmm`` and N, S, E or W."""
-    if not text and not side:
-        return None
-    if not re.fullmatch(rf"[0-9]{{{digits}}}[0-5][0-9](\.[0-9]*)?", text) or side not in sides:
-        raise FeedError(f"{text},{side}: no position")
-    degrees = int(text[:digits]) + float(text[digits:]) / 60.0
-    return degrees if side == sides[0] else -degrees
-
-
-def _time(sentence: Any) -> float | None:
-    """Return the time of day of a sentence, s."""
-    return _stamp(sentence.data[0] if sentence.data else "")
-
-
-def _stamp(text: str) -> float | None:
-    """Return the time of day of ``hhmmss.sss``, s."""
-    if not text:
-        return None
-    if not re.fullmatch(r"([01][0-9]|2[0-3])[0-5][0-9]([0-5][0-9]|60)(\.[0-9]*)?", text):
-        raise FeedError(f"{text}: no time of day")
-    return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + float(text[4:])
+def _number(value: float | str) -> float | None:
+    """Return a number, or None of an empty field."""
+    return None if isinstance(value, str) else float(value)
 
 
 def _place(sentence: Any) -> tuple[float, float] | None:
     """Return the latitude and longitude of a sentence; 0, 0 is that of one without a fix."""
-    latitude = _angle(sentence.lat, sentence.lat_dir, "NS", 2)
-    longitude = _angle(sentence.lon, sentence.lon_dir, "EW", 3)
-    if (latitude is None) != (longitude is None):
-        raise FeedError("half a position")
-    if latitude is None or longitude is None or latitude == longitude == 0.0:
+    place = sentence.lat, sentence.lon
+    if place == ("", "") or place == (0.0, 0.0):
         return None
-    return latitude, longitude
+    if "" in place or sentence.NS not in ("N", "S") or sentence.EW not in ("E", "W"):
+        raise FeedError(f"{place}: no position")
+    return place
 
 
 def _gga(sentence: Any) -> Message:
-    quality = _number(sentence.data[5])
-    place = None if quality is None or int(quality) in NO_FIX else _place(sentence)
-    height = None if place is None else _number(sentence.data[8])
+    void = sentence.quality == "" or sentence.quality in NO_FIX
+    place = None if void else _place(sentence)
+    height = None if place is None else _number(sentence.alt)
     values = {} if height is None else {"gps_z_m": -height}
-    return Message("GGA", _time(sentence), values, place, void=place is None)
+    stamp = _stamp(sentence.time, sentence.payload[0])
+    return Message("GGA", stamp, values, place, void=place is None)
 
 
 def _rmc(sentence: Any) -> Message:
-    void = sentence.status != "A" or sentence.mode_indicator in NO_MODE
+    # receivers before NMEA 2.3 have no mode
+    void = sentence.status != "A" or getattr(sentence, "posMode", "") in NO_MODE
     place = None if void else _place(sentence)
     values = {}
     if not void:
-        speed, course = _number(sentence.spd_over_grnd), _number(sentence.true_course)
+        speed, course = _number(sentence.spd), _number(sentence.cog)
         if speed is not None and speed < 0.0:
             raise FeedError("a speed below 0")
         # a receiver at rest leaves the course empty
@@ -335,11 +328,12 @@ def _rmc(sentence: Any) -> Message:
             course = math.radians(course or 0.0)
             values["gps_vx_mps"] = KNOT * speed * math.cos(course)
             values["gps_vy_mps"] = KNOT * speed * math.sin(course)
-    return Message("RMC", _time(sentence), values, place, void=place is None and not values)
+    stamp = _stamp(sentence.time, sentence.payload[0])
+    return Message("RMC", stamp, values, place, void=place is None and not values)
 
 
 def _hdt(sentence: Any) -> Message:
-    heading = _number(sentence.heading)
+    heading = _number(sentence.headingT)
     if heading is None:
         return Message("HDT", void=True)
     if not 0.0 <= heading <= 360.0:
@@ -348,28 +342,28 @@ def _hdt(sentence: Any) -> Message:
 
 
 def _rot(sentence: Any) -> Message:
-    rate = _number(sentence.rate_of_turn)
-    if rate is None or sentence.status != "A":
+    rate = _number(sentence.rot)
+    if rate is None or sentence.valid != "A":
         return Message("ROT", void=True)
     return Message("ROT", values={"gyro_radps": math.radians(rate) / 60.0})
 
 
 def _rpm(sentence: Any) -> Message:
-    number, speed = _number(sentence.engine_no), _number(sentence.speed)
-    if number is None or speed is None or sentence.status != "A":
+    number, speed = sentence.engineshaftnum, _number(sentence.rpm)
+    if number == "" or speed is None or sentence.status != "A":
         return Message("RPM", void=True)
     if number not in range(100):
         raise FeedError("no shaft")
-    names = COMMANDS[:2] if number == 0 else (COMMANDS[int(number) % 2],)
-    return Message(f"RPM{number:.0f}", values=dict.fromkeys(names, speed / 60.0))
+    names = COMMANDS[:2] if number == 0 else (COMMANDS[number % 2],)
+    return Message(f"RPM{number}", values=dict.fromkeys(names, speed / 60.0))
 
 
 def _rsa(sentence: Any) -> Message:
     starboard, port = (
-        math.radians(angle) if angle is not None and status == "A" else None
+        math.radians(angle) if angle != "" and status == "A" else None
         for angle, status in (
-            (_number(sentence.rsa_starboard), sentence.rsa_starboard_status),
-            (_number(sentence.rsa_port), sentence.rsa_port_status),
+            (sentence.stbdangle, sentence.stbdstatus),
+            (sentence.portangle, sentence.portstatus),
         )
     )
     left, right = (starboard if port is None else port), starboard
@@ -378,10 +372,10 @@ def _rsa(sentence: Any) -> Message:
     return Message("RSA", values=values, void=not values)
 
 
-def _tilt(angles: Sequence[float | None]) -> dict[str, float]:
-    """Return roll and pitch of degrees, without those that are not there."""
+def _tilt(roll: float | None, pitch: float | None) -> dict[str, float]:
+    """Return roll and pitch, given in degrees, without those that are not there."""
     values: dict[str, float] = {}
-    for name, angle in zip(("ahrs_roll_rad", "ahrs_pitch_rad"), angles, strict=True):
+    for name, angle in (("ahrs_roll_rad", roll), ("ahrs_pitch_rad", pitch)):
         if angle is not None:
             if abs(angle) > 90.0:
                 raise FeedError(f"{angle}: no roll or pitch")
@@ -389,22 +383,14 @@ def _tilt(angles: Sequence[float | None]) -> dict[str, float]:
     return values
 
 
-def _ashr(fields: Sequence[str]) -> Message | str:
-    """Return roll and pitch of a PASHR.
-
-    Name, time, heading, T, roll, pitch, and more. Those of Ashtech: name, kind, time, heading,
-    pitch, roll, two errors, and a flag above 0 where the ambiguity is not fixed.
-    """
-    if not fields[1][:1].isalpha():
-        angles, stamp = (fields[4], fields[5]), _stamp(fields[1])
-    elif fields[1] in ASHTECH:
-        # seconds of the GPS week are ahead of UTC by leap seconds
-        stamp = _stamp(fields[2]) if fields[1] == "HPR" else None
-        fixed = _number(fields[8]) == 0.0
-        angles = (fields[5], fields[4]) if fixed else ("", "")
-    else:
-        return "unknown"
-    values = _tilt(list(map(_number, angles)))
+def _ashr(sentence: Any) -> Message:
+    """Return roll and pitch of a PASHR: of Ashtech's only where the ambiguity is fixed (0)."""
+    # a PASHR ATT has seconds of the GPS week, which are ahead of UTC by leap seconds
+    moment, fields = getattr(sentence, "utctime", ""), sentence.payload
+    stamp = None if fields[0] == "ATT" else _stamp(moment, fields[1 if fields[0] == "HPR" else 0])
+    if getattr(sentence, "ambiguity", 0) != 0:
+        return Message("PASHR", stamp, void=True)
+    values = _tilt(_number(sentence.roll), _number(sentence.pitch))
     return Message("PASHR", stamp, values, void=not values)
 
 
@@ -412,13 +398,16 @@ def _xdr(sentence: Any) -> Message:
     """Return roll, pitch and rates of transducers: type A, angle, D, name; again and again."""
     found: dict[str, float] = {}
     rates: dict[str, float] = {}
-    fields = sentence.data
-    for kind, value, unit, name in zip(*(fields[j::4] for j in range(4)), strict=False):
+    for i in range(1, len(sentence.payload) // 4 + 1):
+        kind, value, unit, name = (
+            getattr(sentence, f"{part}_{i:02d}")
+            for part in ("tdrtype", "data", "dataunit", "tdrid")
+        )
         words = [part for part in TILTED if name.strip().upper().startswith(part)]
-        if kind == "A" and unit == "D" and words and (angle := _number(value)) is not None:
+        if kind == "A" and unit == "D" and words and value != "":
             kept = rates if "RATE" in name.upper() else found
-            kept.setdefault(TILTED[words[0]], angle)
-    values = _tilt([found.get("roll"), found.get("pitch")])
+            kept.setdefault(TILTED[words[0]], value)
+    values = _tilt(found.get("roll"), found.get("pitch"))
     values |= {GYROS[name]: math.radians(rate) for name, rate in rates.items()}
     # one sentence each is common: then the second is no repetition of the first
     return Message(" ".join(("XDR", *sorted(values))), values=values, void=not values)
@@ -428,10 +417,10 @@ def _mwv(sentence: Any) -> Message | str:
     """Return the apparent wind; that of the reference T holds the motion of the boat already."""
     if sentence.reference != "R":
         return "unknown"
-    angle, speed = _number(sentence.wind_angle), _number(sentence.wind_speed)
+    angle, speed = _number(sentence.angle), _number(sentence.speed)
     if angle is None or speed is None or sentence.status != "A":
         return Message("MWV", void=True)
-    unit = SPEED_UNITS.get(sentence.wind_speed_units)
+    unit = SPEED_UNITS.get(sentence.speedu)
     if unit is None or speed < 0.0 or not 0.0 <= angle <= 360.0:
         raise FeedError("no wind")
     turned = math.remainder(math.radians(angle), 2.0 * math.pi)
@@ -441,8 +430,8 @@ def _mwv(sentence: Any) -> Message | str:
 
 def _mwd(sentence: Any) -> Message:
     """Return the true wind, by its direction from true north."""
-    angle, speed = _number(sentence.direction_true), _number(sentence.wind_speed_meters)
-    if speed is None and (knots := _number(sentence.wind_speed_knots)) is not None:
+    angle, speed = _number(sentence.dirT), _number(sentence.speedM)
+    if speed is None and (knots := _number(sentence.speedN)) is not None:
         speed = KNOT * knots
     if angle is None or speed is None:
         return Message("MWD", void=True)
@@ -452,7 +441,7 @@ def _mwd(sentence: Any) -> Message:
 
 
 def _zda(sentence: Any) -> Message:
-    stamp = _time(sentence)
+    stamp = _stamp(sentence.time, sentence.payload[0])
     return Message("ZDA", stamp, void=stamp is None)
 
 
@@ -463,8 +452,169 @@ _READERS = {
     "ROT": _rot,
     "RPM": _rpm,
     "RSA": _rsa,
+    "ASHR": _ashr,
     "XDR": _xdr,
     "MWV": _mwv,
     "MWD": _mwd,
     "ZDA": _zda,
 }
+
+
+class NmeaWriter:
+    """Sentences of a talker, which has two letters."""
+
+    def __init__(self, talker: str) -> None:
+        self.checksum = needed("pynmeagps").calc_checksum
+        self.talker = talker
+
+    def line(self, kind: str, *fields: str) -> str:
+        """Return a sentence with its checksum."""
+        return self._whole(self.talker + kind, *fields)
+
+    def _whole(self, *fields: str) -> str:
+        content = ",".join(fields)
+        return f"${content}*{self.checksum(content)}\r\n"
+
+    def gga(
+        self,
+        stamp: float,
+        latitude: float,
+        longitude: float,
+        quality: int,
+        height: float = math.nan,
+    ) -> str:
+        """Return a fix; ``stamp`` is the time of day, s, ``height`` m above the sea."""
+        place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
+        satellites = ("", "") if quality == 6 else ("12", "0.8")
+        return self.line(
+            "GGA",
+            clock_text(stamp),
+            *place[0],
+            *place[1],
+            f"{quality}",
+            *satellites,
+            "" if math.isnan(height) else f"{height:.3f}",
+            "M",
+            "",
+            "M",
+            "",
+            "",
+        )
+
+    def rmc(
+        self,
+        stamp: float,
+        day: date,
+        place: tuple[float, float] | None,
+        north: float | None,
+        east: float | None,
+        mode: str,
+    ) -> str:
+        """Return velocity over ground, m/s, with place and date."""
+        sides: tuple[str, ...] = ("", "", "", "")
+        if place is not None:
+            sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
+        motion = ("", "")
+        if north is not None and east is not None:
+            speed = f"{math.hypot(north, east) / KNOT:.4f}"
+            course = round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0
+            motion = speed, f"{course:.3f}"
+        return self.line(
+            "RMC", clock_text(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode
+        )
+
+    def hdt(self, heading: float) -> str:
+        """Return a true heading, given in rad."""
+        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
+
+    def rot(self, rate: float) -> str:
+        """Return a rate of turn, given in rad/s."""
+        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
+
+    def attitude(
+        self,
+        stamp: float,
+        heading: float,
+        tilt: tuple[float, float],
+        heave: float = math.nan,
+        sd: Sequence[float] | Array = (),
+    ) -> str:
+        """Return heading, roll, pitch and their standard deviations (rad), and heave (m, down).
+
+        Fields of what is NaN are empty.
+        """
+        degrees = [math.degrees(value) for value in (heading % (2.0 * math.pi), *tilt)]
+        fields = (
+            *("PASHR", clock_text(stamp)),
+            *(("", "") if math.isnan(heading) else (f"{degrees[0]:.2f}", "T")),
+            *("" if math.isnan(value) else f"{value:+.4f}" for value in degrees[1:]),
+            "" if math.isnan(heave) else f"{-heave:+.2f}",
+            *(f"{math.degrees(value):.3f}" for value in sd),
+            *[""] * (2 - len(sd)),
+            *("", "1"),
+        )
+        return self._whole(*fields)
+
+    def motion(self, stamp: float, after: float, mean: Array, sd: Array) -> str:
+        """Return a forecast (4,) of roll, pitch, heave and deck speed, with deviations (4,)."""
+        values = [*np.degrees(mean[:2]), *mean[2:], *np.degrees(sd[:2]), *sd[2:]]
+        texts = [f"{min(max(value, -999.0), 999.0):.2f}" for value in values]
+        fields = ("PUTWM", clock_text(stamp), f"{after:.1f}", *texts)
+        return self._whole(*fields)
+
+    def quiet(self, stamp: float, probabilities: Array) -> str:
+        """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
+        values = probabilities.tolist()
+        texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
+        fields = ("PUTWQ", clock_text(stamp), *texts)
+        return self._whole(*fields)
+
+    def predicted(
+        self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
+    ) -> str:
+        """Return a point of a prediction; see the head of this module.
+
+        Parameters
+        ----------
+        stamp, after : float
+            Time of day at which it was made, and the horizon, s.
+        place : tuple of float
+            Latitude and longitude, degrees.
+        heading : float
+            Rad.
+        cov : ndarray, shape (2, 2)
+            Covariance of north and east, m2.
+        """
+        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+        both = float(sd[0] * sd[1])
+        correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
+        fields = (
+            *("PUTWP", clock_text(stamp), f"{after:.1f}"),
+            *_text(place[0], "NS", 2, 5),
+            *_text(place[1], "EW", 3, 5),
+            f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
+            *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
+            f"{correlation:.2f}",
+        )
+        return self._whole(*fields)
+
+    def health(self, stamp: float, sensor: str, status: str) -> str:
+        """Return the new status of a sensor; see the head of this module."""
+        fields = ("PUTWH", clock_text(stamp), sensor, status)
+        return self._whole(*fields)
+
+
+def clock_text(stamp: float) -> str:
+    """Return a time of day, s, as ``hhmmss.sss``."""
+    ms = round(1000.0 * stamp) % 86400000
+    minutes, ms = divmod(ms, 60000)
+    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
+
+
+def _text(angle: float, sides: str, digits: int, decimals: int) -> Sequence[str]:
+    """Return an angle, degrees, as ``ddmm.mmm`` and its side."""
+    unit = 10**decimals
+    degrees, rest = divmod(round(abs(angle) * 60.0 * unit), 60 * unit)
+    minutes, part = divmod(rest, unit)
+    text = f"{degrees:0{digits}d}{minutes:02d}.{part:0{decimals}d}"
+    return text, sides[0] if angle >= 0.0 else sides[1]

@@ -33,20 +33,16 @@ def needed(module: str) -> Any:
 def parse_address(address: str) -> tuple[str, int]:
     """Return host and port of ``udp://HOST:PORT``; without a host, that of loopback.
 
-    IPv6 hosts are written ``udp://[::1]:10110``. FeedError says what is wrong with it.
+    IPv6 hosts are written ``udp://[::1]:10110``.
     """
-    hint = "write udp://HOST:PORT, as udp://:10110 for this machine alone"
     try:
         parts = urlsplit(address)
         port = parts.port
-    except ValueError as error:
-        raise FeedError(f"{address}: {error}; {hint}") from None
-    if parts.scheme != "udp":
-        raise FeedError(f"{address}: only udp:// is known; {hint}")
-    if not port:
-        raise FeedError(f"{address}: names no port from 1 to 65535; {hint}")
-    if parts.path or parts.query or parts.fragment or parts.username is not None:
-        raise FeedError(f"{address}: holds more than host and port; {hint}")
+    except ValueError:
+        parts, port = urlsplit(""), None
+    more = parts.path or parts.query or parts.fragment or parts.username is not None
+    if parts.scheme != "udp" or not port or more:
+        raise FeedError(f"{address}: write udp://HOST:PORT, as udp://:10110 for this machine alone")
     return parts.hostname or "127.0.0.1", port
 
 

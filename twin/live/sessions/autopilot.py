@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.agents.controllers import LOS
 from twin.channels import R
+from twin.live.sessions.session import SessionError
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from usv_gym.envs.scoring import follow
 from usv_gym.envs.tasks import Curves
@@ -47,6 +48,10 @@ class Autopilot:
 
     def hand_over(self, autopilot: str, t: float, state: Array) -> None:
         """Let another autopilot steer from time t (s) and state (6,) on."""
+        if autopilot not in AUTOPILOTS:
+            raise SessionError(
+                f"no autopilot is called {autopilot!r}; use one of {', '.join(AUTOPILOTS)}"
+            )
         self.autopilot, self._since = autopilot, t
         self.path = np.empty((0, 2))
         if autopilot == "path":

@@ -48,13 +48,6 @@ class FeedSession(Session):
         self._answered, self._heard = -math.inf, math.nan
         self._waiting: deque[tuple[float, Array, Array]] = deque()
 
-    def forget(self) -> None:
-        """Restart the twin, as for another boat; a log that is being recorded goes on."""
-        self.monitor.twin.reset()
-        self.monitor = TwinMonitor(self.monitor.twin)
-        self.snapshot = None
-        self.changed += 1
-
     def _close(self) -> None:
         self.feed.close()
         super()._close()

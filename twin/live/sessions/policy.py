@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,28 +12,20 @@ from numpy.typing import NDArray
 
 from twin.agents.agent import Agent
 from twin.agents.evaluation import make_envs
-from twin.digital_twin import Twin
-from twin.live.sessions.session import MAX_LAG, Session, SessionError, Snapshot
+from twin.live.sessions.sailing import SailingSession, losses, twin_of
+from twin.live.sessions.session import Snapshot, sea_of
 from twin.live.sessions.tracker import TwinMonitor
-from twin.predictors.registry import DEFAULT, predictor_class
+from twin.predictors.registry import DEFAULT
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
-from twin.sim.oracle import simulator_options
 from usv_gym.envs.env import Recorded
-from usv_gym.world.faults import Disturbance, Fault
-from usv_gym.world.realisation import Sea
+from usv_gym.world.faults import Disturbance
 
 __all__ = ["PolicySession"]
 
 Array = NDArray[np.float64]
 
-NEVER = 1e12
-"""Start of a loss that has not been ordered, s."""
 
-LOSSES = ("gps", "imu")
-"""Sensors that may be lost by order, in the places of their faults."""
-
-
-class PolicySession(Session):
+class PolicySession(SailingSession):
     """Episodes that an agent steers, one after the other, with a twin that looks on.
 
     The agent decides on its own observation, as in its training. Between two decisions the rows of
@@ -63,30 +53,26 @@ class PolicySession(Session):
         The agent does not suit the environment.
     """
 
-    has_truth = True
-
     offers = "lose its sensors, begin its next episode, and record logs to the folder of --out"
 
     def __init__(
         self, agent: Agent, folder: Path, *, seed: int = 0, predictor: str = DEFAULT,
         faults: Sequence[Disturbance] = (), **env: Any,
     ) -> None:  # fmt: skip
-        ordered = tuple(Fault(kind, NEVER, 1.0) for kind in LOSSES)
         self.agent = agent
         self.envs = make_envs(
             1,
             observation=agent.observation,
             autoreset_mode="Disabled",
             record=True,
-            **{**env, "faults": (*ordered, *faults)},
+            **{**env, "faults": (*losses(), *faults)},
         )
-        vessel, sim = self.envs.vessel, self.envs.simulation
-        particulars = particulars_of(vessel, sim.suite, sim.dof)
+        vessel, self.simulation = self.envs.vessel, self.envs.simulation
+        dof = self.simulation.dof
+        particulars = particulars_of(vessel, self.simulation.suite, dof)
         super().__init__(vessel, particulars, folder)
-        given: dict[str, Any] = {}
-        if predictor_class(predictor).needs_simulator:
-            given = simulator_options(predictor, vessel, self.envs.seas[0], sim.dof)
-        self.monitor = TwinMonitor(Twin(particulars, predictor, seed=seed, **given))
+        twin = twin_of(vessel, particulars, predictor, self.envs.seas[0], dof, seed)
+        self.monitor = TwinMonitor(twin)
         self._result = "none has ended yet"
         self._rows: deque[Recorded] = deque()
         self._begin(seed)
@@ -99,30 +85,8 @@ class PolicySession(Session):
     def next_episode(self) -> None:
         """Begin the next episode; a log that is being recorded ends."""
         self.record(False)
-        self.monitor.twin.reset()
-        self.monitor = TwinMonitor(self.monitor.twin)
+        self.forget()
         self._begin(self.seed + 1)
-        self.changed += 1
-
-    def lose(self, kind: str, seconds: float) -> None:
-        """Lose ``gps`` or ``imu`` for so long, from the next decision on; infinity: for good."""
-        if kind not in LOSSES:
-            raise SessionError(f"no sensor is called {kind!r}; use one of {', '.join(LOSSES)}")
-        row = self._fault(kind)
-        start = float(self.envs.simulation.t[0])
-        row["start"], row["end"] = start, start + seconds
-
-    def is_lost(self, kind: str) -> bool:
-        """Whether ``gps`` or ``imu`` was lost until it is found again."""
-        return bool(self._fault(kind)["end"] == math.inf)
-
-    def toggle_loss(self, kind: str) -> None:
-        """Lose ``gps`` or ``imu`` for good, or find it again."""
-        self.lose(kind, 0.0 if self.is_lost(kind) else math.inf)
-
-    def _fault(self, kind: str) -> Any:
-        """Return the fault of a sensor that is lost by order."""
-        return self.envs.simulation.faults[0, LOSSES.index(kind)]
 
     def _begin(self, seed: int) -> None:
         """Begin the episode of a seed."""
@@ -161,31 +125,17 @@ class PolicySession(Session):
         self.monitor.step(row.t, z, row.cmd, truth)
         self._keep(row.t, z, row.cmd, truth)
 
-    def _mark_restart(self) -> None:
-        super()._mark_restart()
-        self._anchor = time.monotonic(), self.t
-
-    def _rest(self) -> float:
-        return self.envs.simulation.dt / max(self.scale, 1e-3)
-
-    def _advance(self) -> None:
-        begin, first = self._anchor
-        now = time.monotonic()
-        goal = first + (now - begin) * self.scale
-        while self.t + self.envs.simulation.dt <= goal + 1e-9:
-            if not self._rows:
-                if self._over:
-                    self.next_episode()
-                    break
-                self._decide()
-            self._play()
-            if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
-                self._anchor = time.monotonic(), self.t
-                break
+    def _sail(self) -> bool:
+        if not self._rows:
+            if self._over:
+                self.next_episode()
+                return False
+            self._decide()
+        self._play()
+        return True
 
     def _look(self) -> Snapshot:
-        sim = self.envs.simulation
-        sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
+        sea = sea_of(self.simulation)
         path = self.envs.task.points[0].copy()
         notes = f"{self.agent.name} sails seed {self.seed}", f"last episode: {self._result}"
         state = self._row.state.copy()

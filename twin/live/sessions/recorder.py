@@ -94,17 +94,6 @@ class Recorder:
                 path.unlink(missing_ok=True)
         return self.path if self.rows else None
 
-    def rescue(self, folder: Path) -> Path:
-        """Write all rows to another folder, where the log's own has failed; return the file."""
-        folder.mkdir(parents=True, exist_ok=True)
-        path, file = _new_log(folder)
-        os.close(file)
-        write_whole(path, self.path.read_bytes() + self._pending)
-        particulars = sibling_path(self.path, ".toml").read_bytes()
-        write_whole(sibling_path(path, ".toml"), particulars)
-        os.close(self._file)
-        return path
-
 
 def _new_log(folder: Path) -> tuple[Path, int]:
     """Create a log of a name that is free; return it and its descriptor."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -32,6 +31,7 @@ from usv_gym.envs.scene import TwinOverlay
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea
+from usv_gym.world.simulation import Simulation
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "SessionError",
     "Snapshot",
     "measured_boat",
+    "sea_of",
 ]
 
 Array = NDArray[np.float64]
@@ -188,12 +189,14 @@ class Session(ABC):
 
     def _close(self) -> None:
         """Release resources; in the session's thread, at its end."""
-        try:
-            self.record(False)
-        except OSError:  # write it elsewhere rather than lose it
-            if self.recorder is not None:
-                self.recorded = self.recorder.rescue(Path(tempfile.gettempdir()))
-                self.recorder = None
+        self.record(False)
+
+    def forget(self) -> None:
+        """Restart the twin, as for another boat; a log that is being recorded goes on."""
+        self.monitor.twin.reset()
+        self.monitor = TwinMonitor(self.monitor.twin)
+        self.snapshot = None
+        self.changed += 1
 
     @property
     def recording(self) -> bool:
@@ -322,6 +325,13 @@ def measured_boat(measured: Array, cmd: Array) -> Array:
     boat[[fr.X, fr.Y, fr.PSI]] = measured
     boat[fr.N_LEFT :] = cmd
     return boat
+
+
+def sea_of(simulation: Simulation) -> Sea:
+    """Return the waves and the wind of a simulated boat at this moment."""
+    return Sea(
+        *(part[0].copy() for part in (simulation.waves, simulation.gusts, simulation.weather))
+    )
 
 
 def _words(error: OSError) -> str:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.digital_twin import Twin
-from twin.live.sessions.autopilot import AUTOPILOTS, Autopilot
-from twin.live.sessions.session import MAX_LAG, Session, SessionError, Snapshot
+from twin.live.sessions.autopilot import Autopilot
+from twin.live.sessions.sailing import SailingSession, losses, twin_of
+from twin.live.sessions.session import SessionError, Snapshot, sea_of
 from twin.live.sessions.tracker import TwinMonitor
 from twin.predictors.registry import (
     DEFAULT,
@@ -24,11 +21,9 @@ from twin.predictors.registry import (
     predictor_class,
 )
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
-from twin.sim.oracle import simulator_options
 from usv_gym.design.seaway import warning_of
 from usv_gym.vessel.vessel import Vessel, vessel_names
-from usv_gym.world.faults import Disturbance, Fault
-from usv_gym.world.realisation import Sea
+from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import RunawayError, Simulation
@@ -39,9 +34,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-NEVER = 1e12
-"""Start of a fault that has not been ordered, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,15 +59,13 @@ class SimulationSetup:
     faults: Sequence[Disturbance] = ()
 
 
-class SimulatedSession(Session):
+class SimulatedSession(SailingSession):
     """A boat in a simulated sea that is steered, disturbed and deprived of its sensors by hand.
 
     ``setup`` is what the run that is on began with, ``autopilot`` who steers at first, one of
     :data:`twin.live.sessions.autopilot.AUTOPILOTS`. Logs are recorded to ``folder``. ``vessels``
     by name and ``predictors`` are on offer for a restart: nothing else is opened or imported.
     """
-
-    has_truth = True
 
     offers = "steer it, restart it, and record logs to the folder of --out"
 
@@ -99,42 +89,34 @@ class SimulatedSession(Session):
                 f"{', '.join(self.predictors)}"
             )
         suite = SensorSuite.grade(setup.sensors)
-        # two windows of loss that are moved when they are ordered
-        gps, imu = (Fault(kind, NEVER, 1.0) for kind in ("gps", "imu"))
         simulation = Simulation(
             1,
             setup.vessel,
             setup.sea,
             suite=suite,
-            faults=(gps, imu, *setup.faults),
+            faults=(*losses(), *setup.faults),
             dof=setup.dof,
             changing=True,
         )
         particulars = particulars_of(setup.vessel, suite, setup.dof)
-        given: dict[str, Any] = {}
-        if predictor_class(setup.predictor).needs_simulator:
-            given = simulator_options(setup.predictor, setup.vessel, setup.sea, setup.dof)
-        twin = Twin(particulars, setup.predictor, seed=setup.seed, **given)
+        twin = twin_of(setup.vessel, particulars, setup.predictor, setup.sea, setup.dof, setup.seed)
         notes = _notes(setup.vessel, setup.sea, setup.dof)
-        self.record(False)
         rng, sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
         simulation.reset([0], [rng])
         helm = Autopilot(setup.vessel, particulars.speed, helm_rng)
         if autopilot is None:
             autopilot = self.helm.autopilot
             helm.throttle, helm.angle = self.helm.throttle, self.helm.angle
-        before = vars(self).copy()
-        try:
-            self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
-            self.simulation, self.monitor, self.helm = simulation, TwinMonitor(twin), helm
-            self.notes = notes
-            self._sea_rng, self._gust_seed = sea_rng, int(sea_rng.integers(2**32))
-            self.steer(autopilot)
-            self._mark_restart()
-            self._feed()
-        except Exception:
-            vars(self).update(before)
-            raise
+        gust_seed = int(sea_rng.integers(2**32))
+        monitor = TwinMonitor(twin)
+        helm.hand_over(autopilot, 0.0, twin.predictor.state)
+        z, truth = measurement_row(simulation.z[0]), simulation.state[0, TRUE_STATE]
+        monitor.step(float(simulation.t[0]), z, simulation.reported[0], truth)
+        self.record(False)
+        self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
+        self.simulation, self.monitor, self.helm, self.notes = simulation, monitor, helm, notes
+        self._sea_rng, self._gust_seed = sea_rng, gust_seed
+        self._mark_restart()
         self.changed += 1
 
     @property
@@ -142,32 +124,9 @@ class SimulatedSession(Session):
         """Time since the restart, s."""
         return float(self.simulation.t[0])
 
-    def _mark_restart(self) -> None:
-        super()._mark_restart()
-        self._anchor = time.monotonic(), self.t
-
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
-        if autopilot not in AUTOPILOTS:
-            raise SessionError(
-                f"no autopilot is called {autopilot!r}; use one of {', '.join(AUTOPILOTS)}"
-            )
         self.helm.hand_over(autopilot, self.t, self.monitor.twin.predictor.state)
-
-    def lose(self, kind: str, seconds: float) -> None:
-        """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
-        row = self.simulation.faults[0, ("gps", "imu").index(kind)]
-        row["start"], row["end"] = self.t, self.t + seconds
-
-    def is_lost(self, kind: str) -> bool:
-        """Whether ``gps`` or ``imu`` was lost until it is found again."""
-        fault = self.simulation.faults[0, ("gps", "imu").index(kind)]
-        begin, end = fault["start"], fault["end"]
-        return bool(begin <= self.t and end == math.inf)
-
-    def toggle_loss(self, kind: str) -> None:
-        """Lose ``gps`` or ``imu`` for good, or find it again."""
-        self.lose(kind, 0.0 if self.is_lost(kind) else math.inf)
 
     def change_sea(self, sea: SeaState, waves: bool = True) -> None:
         """Put the boat into another sea, or under another wind alone."""
@@ -176,41 +135,27 @@ class SimulatedSession(Session):
         if waves:
             self.notes = _notes(self.setup.vessel, sea, self.setup.dof)
 
-    def _rest(self) -> float:
-        return self.simulation.dt / max(self.scale, 1e-3)
-
-    def _advance(self) -> None:
-        begin, first = self._anchor
-        now = time.monotonic()
-        goal = first + (now - begin) * self.scale
-        while self.t + self.simulation.dt <= goal + 1e-9:
-            cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
-            try:
-                self.simulation.step(cmd[None])
-            except RunawayError:
-                self.set_paused(True)
-                self.report(
-                    "this vessel's motion grows without bounds; restart with another, and go on"
-                )
-                break
-            self._feed()
-            if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
-                self._anchor = time.monotonic(), self.t
-                break
-
-    def _feed(self) -> None:
+    def _sail(self) -> bool:
         sim = self.simulation
+        cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
+        try:
+            sim.step(cmd[None])
+        except RunawayError:
+            self.set_paused(True)
+            self.report(
+                "this vessel's motion grows without bounds; restart with another, and go on"
+            )
+            return False
         z, truth = measurement_row(sim.z[0]), sim.state[0, TRUE_STATE]
-        self.monitor.step(self.t, z, sim.cmd[0], truth)
-        self._keep(self.t, z, sim.cmd[0], truth)
+        self.monitor.step(self.t, z, sim.reported[0], truth)
+        self._keep(self.t, z, sim.reported[0], truth)
+        return True
 
     def _plan(self) -> str | Array:
         return self.helm.plan(self.t)
 
     def _look(self) -> Snapshot:
-        sim = self.simulation
-        sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
-        state = sim.state[0].copy()
+        state, sea = self.simulation.state[0].copy(), sea_of(self.simulation)
         rate = self._rate(self.t)
         return self._seen(state, path=self.helm.path, sea=sea, rate=rate, notes=self.notes)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import U, V
+from twin.channels import U
 from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
@@ -35,9 +35,6 @@ HORIZON = 10.0
 
 PLAN_STEP = 0.25
 """Time between two rows of a plan, s."""
-
-CONSISTENT_OVER = 30.0
-"""Innovations of so many seconds are averaged."""
 
 CURRENT = "C_north", "C_east"
 """Parameters of a model that are the velocity of the water."""
@@ -85,11 +82,6 @@ class History:
     # turn rate. NaN where there is no reference
     error: Array
     error_hold: Array
-    window: Array  # (T,): data that the identifier looks back on, s; NaN where there is no window
-    # (T,): normalised innovations squared per degree of freedom of the fixes, mean of the last 30
-    # s. 1: variances fit the errors; more: they are too small
-    nis_place: Array
-    nis_velocity: Array
     # (T, p): parameters and their standard deviations
     params: Array
     params_sd: Array
@@ -101,23 +93,6 @@ class History:
     def since(self, span: float) -> History:
         """Return the rows of the last seconds."""
         return self.rows(self.t >= self.t[-1] - span) if len(self.t) else self
-
-
-class _Mean:
-    """Mean of what came within the last seconds."""
-
-    def __init__(self) -> None:
-        self.values: deque[tuple[float, float]] = deque()
-        self.total = 0.0
-
-    def add(self, t: float, value: float) -> None:
-        self.values.append((t, value))
-        self.total += value
-
-    def at(self, t: float) -> float:
-        while self.values and self.values[0][0] < t - CONSISTENT_OVER:
-            self.total -= self.values.popleft()[1]
-        return self.total / len(self.values) if self.values else math.nan
 
 
 class TwinMonitor:
@@ -138,7 +113,6 @@ class TwinMonitor:
         self.error = self.error_hold = math.nan
         self._fixed_at, self._gyro_at = math.nan, math.nan
         self._intervals: deque[float] = deque(maxlen=21)
-        self._nis_place, self._nis_velocity = _Mean(), _Mean()
         self._open: deque[tuple[float, Array, Array]] = deque()
         self._place = (math.nan, math.nan)
         self._rows: list[tuple[tuple[float, ...], Array, Array]] = []
@@ -179,16 +153,14 @@ class TwinMonitor:
 
         ``truth`` (6,) is for the errors alone, NaN where it is not known. No twin receives it.
         """
-        fix, heading = z[GPS_X : GPS_X + 4], float(z[COMPASS])
+        fix, heading = z[GPS_X : GPS_X + 2], float(z[COMPASS])
         if t - self.t > NEW_AFTER:
             self._rows, self._step = [], HISTORY_STEP
             self.error = self.error_hold = math.nan
-        if math.isfinite(fix[0]) and t - self.t < GAP:
-            self._weigh(t, fix)
         self.twin.step(t, z, cmd)
         before, self.t = self.t, t
         if math.isfinite(fix[0]):
-            self.measured[:2] = fix[:2]
+            self.measured[:2] = fix
             self.fixes.append((float(fix[0]), float(fix[1])))
             if math.isfinite(self._fixed_at):
                 self._intervals.append(t - self._fixed_at)
@@ -233,32 +205,12 @@ class TwinMonitor:
     def history(self) -> History:
         """Return the curves up to now; may be called from any thread."""
         rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
-        widths = 6, size, size
+        widths = 3, size, size
         curves, *parts = (
             np.array([row[k] for row in rows]).reshape(len(rows), width)
             for k, width in enumerate(widths)
         )
         return History(*curves.T, *parts)
-
-    def _weigh(self, t: float, fix: Array) -> None:
-        """Compare place and velocity of a fix (4,) with the estimate before it is used."""
-        now = self.twin.estimate()
-        if not now.ready:
-            return
-        how = self.particulars.instruments
-        x, y, psi, u, v, r = now.state
-        c, s = math.cos(psi), math.sin(psi)
-        # of the antenna, when the fix was taken
-        u, v = u - r * how.gps_arm[1], v + r * how.gps_arm[0]
-        velocity = np.array([u * c - v * s, u * s + v * c])
-        arm = np.array([[c, -s], [s, c]]) @ how.gps_arm[:2]
-        place = np.array([x, y]) + arm + (t - self.t - how.gps_latency) * velocity
-        # the drifting part of the error is in the fixes and in the estimate
-        var = np.maximum(now.sd[:2] ** 2 - how.gps_bias_sd**2, 0.0) + how.gps_sd**2
-        self._nis_place.add(t, float(np.mean((fix[:2] - place) ** 2 / var)))
-        if math.isfinite(fix[2]):
-            var = now.sd[U : V + 1] ** 2 + how.doppler_sd**2
-            self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
 
     def _note_errors(self, before: float, truth: Array | None) -> None:
         """Note the error of the prediction whose horizon has just passed."""
@@ -287,7 +239,5 @@ class TwinMonitor:
         if len(self._rows) >= HISTORY_ROWS:
             self._rows = self._rows[::2]
             self._step *= 2.0
-        nis = self._nis_place.at(self.t), self._nis_velocity.at(self.t)
-        window = self.twin.predictor.window_s
-        row, now = (self.t, self.error, self.error_hold, window, *nis), self.twin.estimate()
+        row, now = (self.t, self.error, self.error_hold), self.twin.estimate()
         self._rows.append((row, now.params.copy(), now.params_sd.copy()))

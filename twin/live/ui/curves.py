@@ -12,7 +12,7 @@ from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session
 from twin.live.sessions.tracker import History
 from twin.live.ui.panel import HELP, small
-from twin.live.ui.scene import BLUE, GREY, ORANGE, PURPLE, RED
+from twin.live.ui.scene import GREY, RED
 from twin.predictors.base import Z90
 from usv_gym.envs.scene import SDS
 
@@ -68,13 +68,6 @@ class Curves:
                 ("twin", RED, ()),
                 ("velocity and turn rate held", GREY, (6.0, 4.0)),
             )
-            self.window = self._curve("window of the identifier (s)", ("window", BLUE, ()))
-            self.nis = self._curve(
-                "normalised innovations squared (1)",
-                ("GPS place", PURPLE, ()),
-                ("GPS velocity", ORANGE, (6.0, 4.0)),
-                ("ideal", GREY, (2.0, 3.0)),
-            )
         self.blocks = session.monitor.twin.predictor.parameter_blocks
         names = session.monitor.twin.predictor.parameter_names
         units = session.monitor.twin.predictor.parameter_units
@@ -127,13 +120,8 @@ class Curves:
         if len(seen.t) < 2:  # nothing yet, or back at the begin of a log
             nothing = np.full(2, math.nan)
             none = np.full((2, len(self.names)), math.nan)
-            five = (nothing, nothing, nothing, nothing, nothing)
-            seen = History(np.arange(2.0), *five, none, none)
+            seen = History(np.arange(2.0), nothing, nothing, none, none)
         self._draw(self.error, seen.t, seen.error, seen.error_hold)
-        self.window.visible = bool(np.isfinite(seen.window[-1]))
-        self._draw(self.window, seen.t, seen.window)
-        ideal = np.where(np.isfinite(seen.nis_place), 1.0, math.nan)
-        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, ideal)
         self._show_deck()
         for choice, curve in self.parameters:
             column = self.names.index(choice.value)
@@ -192,10 +180,10 @@ class Curves:
 
 
 def padded(values: Array) -> Array:
-    """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
+    """Return a curve with its gaps drawn through; one of nothing is 0."""
     known = np.isfinite(values)
     if not known.any():
-        return np.ones(len(values))
+        return np.zeros(len(values))
     return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
 
 

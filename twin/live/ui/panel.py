@@ -6,6 +6,7 @@ import html
 import math
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,7 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import PLANS
-from twin.integrity.monitor import SensorStatus
-from twin.live.external.view import SitlSession
+from twin.live.external.simulated import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -97,10 +97,23 @@ class Controls(ABC):
         }
         return [(getattr(self, name), text) for name, text in said.items() if hasattr(self, name)]
 
+    def _button(
+        self, label: str, call: Callable[..., None], *arguments: Any, key: str | None = None
+    ) -> Any:
+        """Add a button, and a key that does the same, that order something of the session."""
+
+        def order(_: Any) -> None:
+            self.session.order(call, *arguments)
+
+        button = self.gui.add_button(label, hint=None if key is None else f"key: {key}")
+        button.on_click(order)
+        if key is not None:
+            self.gui.add_command(label, hotkey=key).on_trigger(order)
+        return button
+
     def _add_time(self) -> None:
         with self.gui.add_folder("Run"):
-            self.pause = self.gui.add_button("pause", hint="key: space")
-            self.pause.on_click(lambda _: self._toggle_pause())
+            self.pause = self._button("pause", self.session.toggle_paused, key="space")
             own = self.session.scale
             names = tuple(f"{scale:g}x" for scale in sorted({*SCALES, own}))
             self.scale = self.gui.add_dropdown("time scale", names, initial_value=f"{own:g}x")
@@ -110,14 +123,9 @@ class Controls(ABC):
                 )
             )
             self._add_record()
-        self.gui.add_command("pause", hotkey="space").on_trigger(lambda _: self._toggle_pause())
-
-    def _toggle_pause(self) -> None:
-        self.session.order(self.session.toggle_paused)
 
     def _add_record(self) -> None:
-        self.record = self.gui.add_button("record a log")
-        self.record.on_click(lambda _: self.session.order(self.session.toggle_record))
+        self.record = self._button("record a log", self.session.toggle_record)
 
 
 class LossControls(Controls):
@@ -127,21 +135,11 @@ class LossControls(Controls):
 
     def _add_losses(self) -> None:
         """Add buttons that lose sensors for a while, or until they are pressed again."""
-        order, lose = self.session.order, self.session.lose
+        session = self.session
         with self.gui.add_folder("Sensors"):
-            brief = self.gui.add_button(f"lose GPS {LOSS:g} s", hint="key: G")
-            brief.on_click(lambda _: order(lose, "gps", LOSS))
-            self.gps = self._add_loss("gps", "GPS")
-            self.imu = self._add_loss("imu", "IMU")
-        self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
-            lambda _: order(lose, "gps", LOSS)
-        )
-
-    def _add_loss(self, kind: str, name: str) -> Any:
-        """Add a button that loses a sensor until it is pressed again."""
-        button = self.gui.add_button(f"lose {name} until pressed")
-        button.on_click(lambda _: self.session.order(self.session.toggle_loss, kind))
-        return button
+            self._button(f"lose GPS {LOSS:g} s", session.lose, "gps", LOSS, key="G")
+            self.gps = self._button("lose GPS until pressed", session.toggle_loss, "gps")
+            self.imu = self._button("lose IMU until pressed", session.toggle_loss, "imu")
 
     def labels(self) -> list[tuple[Any, str]]:
         """Return the buttons whose words change, and what they say now."""
@@ -159,13 +157,8 @@ class PolicyControls(LossControls):
 
     def add(self) -> None:
         """Add the loss of sensors, and the next episode."""
-        session = self.session
         self._add_losses()
-        following = self.gui.add_button("next episode", hint="key: R")
-        following.on_click(lambda _: session.order(session.next_episode))
-        self.gui.add_command("next episode", hotkey="R").on_trigger(
-            lambda _: session.order(session.next_episode)
-        )
+        self._button("next episode", self.session.next_episode, key="R")
 
 
 class SimulatedControls(LossControls):
@@ -227,9 +220,7 @@ class SimulatedControls(LossControls):
             self.seed = self.gui.add_number(
                 "seed", setup.seed, min=0, max=max(SEEDS, setup.seed), step=1
             )
-            restart = self.gui.add_button("restart", hint="key: R")
-            restart.on_click(lambda _: order(self._restart))
-        self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: order(self._restart))
+            self._button("restart", self._restart, key="R")
 
     # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
     # side, and two quick presses of a key would move the slider only once.
@@ -290,8 +281,7 @@ class FeedControls(Controls):
 
     def add(self) -> None:
         """Add what helps when another boat begins to send."""
-        forget = self.gui.add_button("restart the twin", hint="as for another boat")
-        forget.on_click(lambda _: self.session.order(self.session.forget))
+        self._button("restart the twin", self.session.forget)
 
     def _add_time(self) -> None:
         self._add_record()
@@ -382,7 +372,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
     )
     lines["IMU"] = "none" if not now.has_imu else "LOST" if now.imu_lost else "on"
-    lines |= checks(now.health)
+    lines |= checks(now)
     if now.current is not None:
         north, east, *sds = now.current
         sd = math.sqrt(0.5 * (sds[0] ** 2 + sds[1] ** 2))
@@ -425,17 +415,19 @@ def outcome(session: Session) -> dict[str, str]:
     return lines
 
 
-def checks(health: dict[str, SensorStatus]) -> dict[str, str]:
+def checks(now: Snapshot) -> dict[str, str]:
     """Return which sensors agree with each other, and of the others since when not, and why."""
     lines = {}
     for status in ("ok", "absent"):
         # the navigation filter is no sensor: it is shown where it is in doubt
         names = ", ".join(
-            name for name, each in health.items() if each.status == status and name != "navigation"
+            name
+            for name, each in now.health.items()
+            if each.status == status and name != "navigation"
         )
         if names:
             lines[f"sensors {status}"] = names
-    for name, each in health.items():
+    for name, each in now.health.items():
         if each.status in ("doubtful", "excluded"):
             why = each.why.removeprefix(f"{name} ")
             lines[f"{name} (check)"] = f"{each.status.upper()} since {each.since:.1f} s: {why}"
@@ -475,10 +467,6 @@ HELP = (
     "<b>Sensors</b> are held against each other, and the commands against the motion. A DOUBTFUL "
     "one is used; an EXCLUDED one is not, until it agrees with the others again.",
     "<b>Current</b>: velocity of the water as the twin's model has it, and where it flows to.",
-    "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
-    "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
-    "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "
-    "too sure.",
     f"<b>Parameters</b> of the twin's model, with {SDS:g} standard deviations (dotted). X, Y, N "
     "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
     "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "

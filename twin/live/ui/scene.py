@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from twin.live.sessions.session import Snapshot
 from twin.motion import MotionForecast
@@ -76,7 +77,9 @@ class SceneView:
         self.place = np.zeros(2)
         thick, L = 0.03 * self.length, self.length
         add = self.scene
-        self.root = add.add_frame("/sea", show_axes=False, wxyz=quaternion(TURN))
+        self.root = add.add_frame(
+            "/sea", show_axes=False, wxyz=quaternion(Rotation.from_matrix(TURN))
+        )
         edge = stretched(CELLS) * FAR * L
         self._grid = np.stack(np.meshgrid(edge, edge, indexing="ij"), axis=-1).reshape(-1, 2)
         self.surface = add.add_mesh_simple(
@@ -293,25 +296,15 @@ class SceneView:
         return np.column_stack([places, down]).astype(np.float32)
 
 
-def quaternion(turn: Array) -> tuple[float, float, float, float]:
-    """Return a rotation matrix as a quaternion w, x, y, z."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(turn).as_quat().tolist()
+def quaternion(turn: Rotation) -> tuple[float, float, float, float]:
+    """Return a rotation as a quaternion w, x, y, z."""
+    x, y, z, w = turn.as_quat().tolist()
     return w, x, y, z
 
 
 def attitude(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
     """Return roll, pitch and heading as a quaternion w, x, y, z."""
-    (a, b), (c, d), (e, f) = (
-        (math.cos(0.5 * angle), math.sin(0.5 * angle)) for angle in (phi, theta, psi)
-    )
-    return (
-        a * c * e + b * d * f,
-        b * c * e - a * d * f,
-        a * d * e + b * c * f,
-        a * c * f - b * d * e,
-    )
+    return quaternion(Rotation.from_euler("ZYX", [psi, theta, phi]))
 
 
 def stretched(cells: int) -> Array:

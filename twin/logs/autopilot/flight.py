@@ -148,8 +148,5 @@ def _united(parts: list[Samples]) -> dict[str, Array]:
     data: dict[str, Array] = {TIME: merged(group, {TIME: stamps})[TIME]}
     for part in parts:
         rows = group[np.searchsorted(stamps, part.t)]
-        for name, values in part.columns.items():
-            data[name] = np.full(len(data[TIME]), np.nan)
-            valid = ~np.isnan(values)
-            data[name][rows[valid]] = values[valid]
+        data |= merged(rows, part.columns, len(data[TIME]))
     return {name: data[name] for name in (TIME, *COMMANDS, *data) if name in data}

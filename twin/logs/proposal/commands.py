@@ -19,7 +19,7 @@ from twin.logs.proposal.header_words import (
     unit_of,
     words_of,
 )
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, entry, known
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, known, put
 
 __all__ = ["find_commands", "find_pulses"]
 
@@ -38,9 +38,9 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
         sides = _sides(columns, found, there, pattern)
         if sides is not None:
             for target, source in zip(pair, sides, strict=True):
-                add_line(found, "columns", convert(target, source, columns))
+                convert(target, source, columns, found)
         elif there:
-            add_line(found, "columns", convert(single, there[0], columns))
+            convert(single, there[0], columns, found)
             if len(there) > 1:
                 found.questions.append(
                     f"{', '.join(there)}: {single} is taken from {there[0]} alone; if two of them "
@@ -109,24 +109,23 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
     found.missing.remove(_LACKING)
     found.questions.append(f"{pulses[0]}, {pulses[1]}: left and right? Or throttle and steering?")
     for target, name in zip(("n_left_rps", "n_right_rps"), pulses, strict=True):
-        add_line(found, "columns", _shaft(target, name, columns))
+        _shaft(target, name, columns, found)
 
 
-def _shaft(target: str, name: str, columns: Columns) -> str:
-    values = known(columns.numbers[name])
+def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
+    values, words = known(columns.numbers[name]), words_of(name)
     most = float(np.abs(values).max(initial=0.0))
-    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in words_of(name):
+    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in words:
         more = "scale = 0.02, offset = -30.0"
-        return entry(target, columns.take(name), "", more, "pulse width, 1500 us: stop")
-    words = words_of(name)
-    if "rpm" in words or most > 150.0:
-        why = "" if "rpm" in words else "by its size"
-        return entry(target, columns.take(name), "rpm", why=why)
-    return entry(target, columns.take(name), "", "", "rev/s, or any unit: as in the particulars")
+        put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
+    elif "rpm" in words or most > 150.0:
+        put(columns, found, target, name, "rpm", why="" if "rpm" in words else "by its size")
+    else:
+        put(columns, found, target, name, why="rev/s, or any unit: as in the particulars")
 
 
-def _steer(target: str, name: str, columns: Columns) -> str:
+def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
     most = float(np.abs(known(columns.numbers[name])).max(initial=0.0))
     unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
     why = "above 0 must turn to starboard"
-    return entry(target, columns.take(name), "deg" if unit == "deg" else "", "", why)
+    put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

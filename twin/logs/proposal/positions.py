@@ -10,11 +10,11 @@ import numpy as np
 from twin.channels import MEASUREMENTS
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
-from twin.logs.datum import radii
+from twin.logs.datum import Plane
 from twin.logs.files import EMPTY, is_number
 from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, entry, known, pick
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, known, pick, put
 
 __all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
 
@@ -38,8 +38,8 @@ def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[A
     if in_degrees(fix[np.isfinite(fix).all(axis=1)]):
         found.questions.append(f"{north}, {east}: degrees of latitude and longitude, by their size")
         return place_degrees(columns, found, t, (north, east))
-    add_line(found, "columns", entry("gps_x_m", columns.take(north), why="north?"))
-    add_line(found, "columns", entry("gps_y_m", columns.take(east), why="east?"))
+    put(columns, found, "gps_x_m", north, why="north?")
+    put(columns, found, "gps_y_m", east, why="east?")
     return None if t is None else clean(t, fix)
 
 
@@ -116,9 +116,8 @@ def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
     if not first.any():
         return None
-    to_north, to_east = radii(float(lat[first][0]))
-    north = np.radians(lat - lat[first][0]) * to_north
-    return clean(t, np.column_stack([north, np.radians(lon - lon[first][0]) * to_east]))
+    plane = Plane(float(lat[first][0]), float(lon[first][0]))
+    return clean(t, np.column_stack(plane.metres(lat, lon)))
 
 
 def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:

@@ -24,6 +24,7 @@ from twin.logs.proposal.sheet import (
     entry,
     known,
     pick,
+    put,
     read_columns,
 )
 from twin.logs.proposal.time_columns import find_time
@@ -73,7 +74,6 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
         _gyro(columns, found, t, heading)
         if heading is None:
             _gyro_by_size(columns, found)
-    _motion(columns, found)
     _plain(columns, found)
     find_commands(columns, found, own.values)
     find_pulses(columns, found)
@@ -141,7 +141,7 @@ def _own_names(columns: Columns, found: Proposal) -> _Own:
         if target in (*COMMANDS, *SINGLE, *MEASUREMENTS) and not own.has(target):
             unit = "" if target == given else given.rpartition("_")[2]
             own.values[target] = factor * columns.numbers[name]
-            add_line(found, "columns", entry(target, columns.take(name), unit))
+            put(columns, found, target, name, unit)
     for one, other in (("gps_x_m", "gps_y_m"), ("gps_vx_mps", "gps_vy_mps")):
         if own.has(one) != own.has(other):
             found.missing.append(other if own.has(one) else one)
@@ -179,9 +179,7 @@ def _components(
     more = "scale = 0.01" if hundredths else ""
     for target, name in (("gps_vx_mps", north), ("gps_vy_mps", east)):
         given = "" if unit in ("", "mps") else unit
-        add_line(
-            found, "columns", entry(target, columns.take(name), given, more, "as the fixes say")
-        )
+        put(columns, found, target, name, given, more, "as the fixes say")
 
 
 def _velocity(
@@ -206,12 +204,9 @@ def _velocity(
             unit, why = by_fixes, "as the fixes say"
     if not unit:
         found.questions.append(f"{speed}: knots or m/s? m/s is taken")
-    add_line(
-        found,
-        "velocity",
-        entry("speed", columns.take(speed), "" if unit in ("", "mps") else unit, why=why),
-    )
-    add_line(found, "velocity", entry("course", columns.take(course), "" if radians else "deg"))
+    given = "" if unit in ("", "mps") else unit
+    put(columns, found, "speed", speed, given, why=why, table="velocity")
+    put(columns, found, "course", course, "" if radians else "deg", table="velocity")
     return True
 
 
@@ -246,8 +241,7 @@ def _heading(
                 f"{name}: counts from east, or latitude and longitude are swapped"
             )
         heading = heading[0], 0.5 * math.pi - heading[1]
-    line = entry("compass_rad", columns.take(name), "deg" if unit == "deg" else "", more, why)
-    add_line(found, "columns", line)
+    put(columns, found, "compass_rad", name, "deg" if unit == "deg" else "", more, why)
     return heading
 
 
@@ -279,7 +273,7 @@ def _gyro(
     elif best is not None:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
     given = "" if unit in ("", "radps") else unit
-    add_line(found, "columns", entry("gyro_radps", columns.take(name), given, more, why))
+    put(columns, found, "gyro_radps", name, given, more, why)
 
 
 def _gyro_by_size(columns: Columns, found: Proposal) -> None:
@@ -296,42 +290,38 @@ def _gyro_by_size(columns: Columns, found: Proposal) -> None:
         found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
 
 
-def _motion(columns: Columns, found: Proposal) -> None:
-    """Find roll, pitch and heave; ``usv-twin log check`` tells whether signs and axes are right."""
+_NAMED = (
+    ("gyro_x_radps", "gyro_x", ("degps",)),
+    ("gyro_y_radps", "gyro_y", ("degps",)),
+    ("accel_x_mps2", "accel_x", ("g",)),
+    ("accel_y_mps2", "accel_y", ("g",)),
+    ("wind_mps", "wind_speed", ("kn", "kmph")),
+    ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
+)
+"""Columns whose unit is in the name, if it is not that of the log: meaning, and those units."""
+
+
+def _plain(columns: Columns, found: Proposal) -> None:
+    """Find what needs no other column; ``usv-twin check`` tells whether signs are right."""
     for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
         name = pick(columns, meaning)
         if name is not None:
             steep = np.abs(known(columns.numbers[name])).max(initial=0.0) > 0.5 * math.pi
             unit = "deg" if steep else unit_of(name, ("deg", "rad"))
-            add_line(found, "columns", entry(target, columns.take(name), "deg" * (unit == "deg")))
-    for target, meaning in (("gyro_x_radps", "gyro_x"), ("gyro_y_radps", "gyro_y")):
+            put(columns, found, target, name, "deg" * (unit == "deg"))
+    for target, meaning, units in _NAMED:
         name = pick(columns, meaning)
         if name is not None:
-            add_line(found, "columns", entry(target, columns.take(name), unit_of(name, ("degps",))))
+            put(columns, found, target, name, unit_of(name, units))
     name = pick(columns, "accel_z")
     if name is not None:
         up = float(np.median(known(columns.numbers[name]))) > 0.0
         more, why = ("scale = -1.0", "it points up") if up else ("", "")
-        line = entry("accel_z_mps2", columns.take(name), unit_of(name, ("g",)), more, why)
-        add_line(found, "columns", line)
+        put(columns, found, "accel_z_mps2", name, unit_of(name, ("g",)), more, why)
     for target, meaning in (("gps_z_m", "height"), ("gps_vz_mps", "climb")):
         name = pick(columns, meaning)
         if name is not None:
-            line = entry(target, columns.take(name), "", "scale = -1.0", "down is above 0")
-            add_line(found, "columns", line)
-
-
-def _plain(columns: Columns, found: Proposal) -> None:
-    """Find accelerometers and wind."""
-    for target, meaning, units in (
-        ("accel_x_mps2", "accel_x", ("g",)),
-        ("accel_y_mps2", "accel_y", ("g",)),
-        ("wind_mps", "wind_speed", ("kn", "kmph")),
-        ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
-    ):
-        name = pick(columns, meaning)
-        if name is not None:
-            add_line(found, "columns", entry(target, columns.take(name), unit_of(name, units)))
+            put(columns, found, target, name, "", "scale = -1.0", "down is above 0")
     for target, meaning in (
         ("wind_from_rad", "wind_from"),
         ("apparent_wind_rad", "apparent_from"),
@@ -339,5 +329,4 @@ def _plain(columns: Columns, found: Proposal) -> None:
         name = pick(columns, meaning)
         if name is not None:
             unit = angle_unit(name, columns.numbers[name])
-            line = entry(target, columns.take(name), "deg" if unit == "deg" else "")
-            add_line(found, "columns", line)
+            put(columns, found, target, name, "deg" if unit == "deg" else "")

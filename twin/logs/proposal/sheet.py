@@ -37,6 +37,7 @@ __all__ = [
     "entry",
     "known",
     "pick",
+    "put",
     "read_columns",
 ]
 
@@ -65,9 +66,6 @@ def _text_of(file: ParquetFile) -> pl.DataFrame:
     """Return the first rows of a file as text, without columns of lists."""
     import polars as pl
 
-    for name in file.header:
-        if file.header.count(name) > 1:
-            raise LogError(twice_said(file.path, name, "the header"))
     parts: list[pl.DataFrame] = []
     for frame in file.frames(file.header, _ROWS):
         plain = [name for name, kind in frame.schema.items() if not kind.is_nested()]
@@ -156,6 +154,21 @@ def add_line(found: Proposal, table: str, line: str) -> None:
     found.lines.setdefault(table, []).append(line)
 
 
+def put(
+    columns: Columns,
+    found: Proposal,
+    target: str,
+    name: str,
+    unit: str = "",
+    more: str = "",
+    why: str = "",
+    *,
+    table: str = "columns",
+) -> None:
+    """Take a column, and add the line that makes a column of the log of it."""
+    add_line(found, table, entry(target, columns.take(name), unit, more, why))
+
+
 def known(values: Array) -> Array:
     """Return the values that are finite."""
     return values[np.isfinite(values)]
@@ -198,7 +211,7 @@ class Proposal:
 
     def text(self, source: str) -> str:
         """Return the text of the mapping file."""
-        out = [f"# Proposed for {source} by usv-twin mapping new: check every line."]
+        out = [f"# Proposed for {source} by usv-twin mapping: check every line."]
         out += [f"# ? {question}" for question in self.questions]
         for table in ("columns", "position", "velocity"):
             rows = list(self.lines.get(table, []))

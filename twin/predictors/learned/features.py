@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import GAPS, Field
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 
@@ -101,10 +100,6 @@ class ActuatedPredictor(HistoryPredictor):
         self.bound = 3.0 * self.typical
         """Largest u, v, r of a forecast, and of a row worth learning from."""
         super().__init__(particulars, seed=seed)
-
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`HistoryPredictor.fields`."""
-        return {**super().fields(), "act": GAPS}
 
     def reset(self) -> None:
         """See :meth:`Predictor.reset`."""

@@ -188,7 +188,7 @@ class LSTMPredictor(HistoryPredictor):
             H = self.hidden
             shapes = ((9,), (9,), (3,), (9, 4 * H), (H, 4 * H), (4 * H,), (H, 3), (3,))
             names = with_prefix("net", _Net.__dataclass_fields__)
-            check_fields(net, {k: np.zeros(n) for k, n in zip(names, shapes, strict=True)}, {})
+            check_fields(net, {k: np.zeros(n) for k, n in zip(names, shapes, strict=True)})
             self._net = _Net(**without_prefix("net", net))
 
     @property

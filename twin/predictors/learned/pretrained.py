@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI
-from twin.checkpoint import Field
 from twin.files import read_archive
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
@@ -336,10 +335,6 @@ class FleetPredictor(ActuatedPredictor):
         super().reset()
         self._age = np.full(3, math.inf)
         self._extra, self._last = np.zeros(ROW - 10), np.zeros(ROW)
-
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`HistoryPredictor.fields`."""
-        return {**super().fields(), "age": Field(low=0.0, infinite=True)}
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""

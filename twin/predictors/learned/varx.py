@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import ANY, COUNT, Field, State, check_fields
+from twin.checkpoint import State, check_fields
 from twin.particulars import Particulars
 from twin.predictors.baselines import (
     ACTUATORS,
@@ -99,28 +99,16 @@ class VARPredictor(ActuatedPredictor):
         coefficients, constant = self._fit or (None, None)
         return {**super().state_dict(), "coefficients": coefficients, "constant": constant}
 
-    def fields(self) -> dict[str, Field]:
-        """See :meth:`HistoryPredictor.fields`."""
-        return {
-            **super().fields(),
-            "due": ANY,
-            "next_at": COUNT,
-            "products": Field(covariance=True),
-        }
-
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         names = ("coefficients", "constant")
         fit = {name: state.get(name) for name in names}
-        # earlier files have all rows, and no sums of them
-        none = {"next_at": state.get("dropped", 0), "products": np.zeros_like(self._products)}
-        super().load_state_dict(none | {k: v for k, v in state.items() if k not in names})
-        self._next_at = int(self._next_at)
+        super().load_state_dict({k: v for k, v in state.items() if k not in names})
         self._fit = None
         W, b = fit.values()
         if W is not None and b is not None:
             # u, v, r and eight inputs of each step
-            check_fields(fit, {names[0]: np.zeros((11 * self.order, 3)), names[1]: np.zeros(3)}, {})
+            check_fields(fit, {names[0]: np.zeros((11 * self.order, 3)), names[1]: np.zeros(3)})
             self._fit = W, b
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:

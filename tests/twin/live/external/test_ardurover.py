@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.twin.live.external.ardurover import HOLD, Flight, lose
+from tests.twin.live.wire import load_example
 from twin.live.external.navigation import ExternalOptions
 
+flights = load_example("autopilot/flights.py")
+HOLD, Flight, lose = flights.HOLD, flights.Flight, flights.lose
 PROGRAM = os.environ.get("USV_TWIN_ARDUROVER", "")
 
 pytestmark = [

@@ -12,7 +12,6 @@ from tests.twin.live.external.fake_ekf import AUTO, HOLD, HOME, FakeEkf, LoopPor
 from twin.digital_twin import Twin
 from twin.live.external.navigation import (
     STATES,
-    ExternalError,
     ExternalNavigation,
     ExternalOptions,
 )
@@ -125,19 +124,6 @@ def test_the_same_seed_is_the_same_flight(sailed: list[Sailed]) -> None:
     assert again.events == sailed[0].events
 
 
-def test_the_receiver_of_the_autopilot_is_lost_with_that_of_the_twin(sailed: list[Sailed]) -> None:
-    z = sailed[0].run.log.slice(LOST + 0.5, BACK).z
-    assert np.isnan(z[:, 0]).all()
-    assert sailed[0].ekf.gps_on
-    assert sail(twin=False, end=LOST + 1.0).ekf.gps_on is False
-
-
-def test_the_jump_back_to_the_gps_is_announced(sailed: list[Sailed]) -> None:
-    for one in sailed:
-        assert one.ekf.jumped <= 3
-        assert one.ekf.refused == 0
-
-
 def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
     one = sail(end=60.0, lost=45.0)
     assert one.states() == ["lost"]
@@ -165,10 +151,3 @@ def test_gps_input_needs_no_switching() -> None:
     assert one.ekf.source == 1
     assert [mode for _, mode in one.ekf.modes] == [AUTO]
     assert one.error(LOST + 39.0) < 6.0
-
-
-def test_unknown_options_are_refused() -> None:
-    with pytest.raises(ExternalError, match="carrier pigeon"):
-        ExternalOptions(kind="carrier pigeon")
-    with pytest.raises(ExternalError, match="max_sd = -1"):
-        ExternalOptions(max_sd=-1.0)

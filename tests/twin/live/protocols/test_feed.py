@@ -9,16 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.live.wire import Wire, estimate_of, free_port
-from twin.live.protocols.feed import BYTES_MAX, Message, _Clock
-from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.nmea_writer import NmeaWriter
-from twin.live.protocols.sockets import FeedError, open_socket, parse_address
-from twin.logs.datum import Plane
+from tests.twin.live.wire import Wire, estimate_of, example, free_port
+from twin.live.protocols.feed import BYTES_MAX, Message
+from twin.live.protocols.mavlink import MavlinkFeed, Servos
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.sockets import FeedError, parse_address
 from twin.particulars import Particulars
 
-pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
 
 
@@ -36,22 +34,12 @@ def test_addresses_are_read_or_refused(address: str, found: tuple[str, int]) -> 
 
 
 @pytest.mark.parametrize(
-    ("address", "why"),
-    [
-        ("tcp://:10110", "only udp"),
-        ("10110", "only udp"),
-        ("udp://:0", "names no port"),
-        ("udp://localhost", "names no port"),
-        ("udp://:99999", "range"),
-        ("udp://:nmea", "Port"),
-        ("udp://:10110/gps", "more than host and port"),
-        ("udp://[::1:10110", "IPv6"),
-    ],
+    "address",
+    ["tcp://:10110", "10110", "udp://:0", "udp://localhost", "udp://:99999", "udp://:10110/gps"],
 )
-def test_wrong_addresses_are_reported(address: str, why: str) -> None:
-    with pytest.raises(FeedError, match=why) as caught:
+def test_wrong_addresses_are_reported(address: str) -> None:
+    with pytest.raises(FeedError):
         parse_address(address)
-    assert address in str(caught.value) and "udp://HOST:PORT" in str(caught.value)
 
 
 def test_a_port_in_use_is_reported(usv: Particulars) -> None:
@@ -60,24 +48,6 @@ def test_a_port_in_use_is_reported(usv: Particulars) -> None:
         address = f"udp://:{taken.getsockname()[1]}"
         with pytest.raises(FeedError, match="cannot listen"):
             NmeaFeed(address, usv)
-
-
-def test_a_host_that_is_none_is_reported() -> None:
-    with pytest.raises(FeedError, match="host is not known"):
-        open_socket("udp://no-such-host.invalid:10110", bind=True)
-
-
-@pytest.mark.parametrize("latitude", [-77.0, 0.0, 45.0, 89.0])
-def test_the_plane_and_back_gives_the_same_place(latitude: float) -> None:
-    plane = Plane(latitude, 179.9999)
-    north, east = plane.metres(*plane.degrees(123.0, 456.0))
-    assert (north, east) == pytest.approx((123.0, 456.0), abs=1e-6)
-
-
-def test_a_minute_of_the_equator_is_a_nautical_mile_of_longitude() -> None:
-    # WGS 84: 1855.325 m of longitude and 1842.905 m of latitude per minute at the equator
-    north, east = Plane(0.0, 0.0).metres(1.0 / 60.0, 1.0 / 60.0)
-    assert north == pytest.approx(1842.905, abs=1e-3) and east == pytest.approx(1855.325, abs=1e-3)
 
 
 class MessageFeed(NmeaFeed):
@@ -104,24 +74,6 @@ def test_rows_wait_for_what_was_overtaken(usv: Particulars) -> None:
     assert [z[4] for _, z, _ in wire.rows] == pytest.approx(times(wire))
     counts = wire.balance()
     assert (counts["out of order"], counts["doubled"], counts["late"]) == (1, 1, 1)
-
-
-def test_the_last_row_comes_when_nothing_more_does(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    assert wire.tell(message("a", 5.0, compass_rad=1.0)) == []
-    assert wire.take(after=0.2) == []
-    assert len(wire.take(after=0.2)) == 1
-
-
-def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    wire.tell(message("a", 1.0, compass_rad=1.0), message("g", 1.02, gps_x_m=3.0, gps_y_m=4.0))
-    wire.tell(message("b", 1.04, gyro_radps=0.1), message("a", 1.06, compass_rad=1.1))
-    wire.take(after=1.0)
-    assert len(wire.rows) == 2
-    (t0, first, _), (t1, second, _) = wire.rows
-    assert t0 == 0.0 and first[[0, 1, 4, 5]] == pytest.approx([3.0, 4.0, 1.0, 0.1])
-    assert t1 == pytest.approx(0.04) and second[4] == 1.1 and np.isnan(second[0])
 
 
 def test_commands_hold_and_their_absence_is_reported(usv: Particulars) -> None:
@@ -151,14 +103,6 @@ def test_a_clock_that_begins_again_does_not_stall(usv: Particulars, speed: float
     assert t[-1] == pytest.approx(29.9, abs=0.3)
 
 
-def test_a_jump_ahead_is_a_gap(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    for t in (1.0, 1.1, 61.1, 61.2):
-        wire.tell(message("a", t, compass_rad=1.0), after=0.1)
-    wire.take(after=1.0)
-    assert times(wire) == pytest.approx([0.0, 0.1, 60.1, 60.2])
-
-
 def test_a_clock_that_wraps_goes_on(usv: Particulars) -> None:
     wire = Wire(MessageFeed, usv)
     for t in (86399.8, 86399.9, 0.0, 0.1):
@@ -186,14 +130,6 @@ def test_messages_without_a_time_are_placed_by_the_senders_clock(
     found = {round(1e3 * z[4]): t for t, z, _ in wire.rows if not math.isnan(z[4])}
     late = [found[i] - sent[i] for i in range(100, 600)]
     assert np.abs(late).max() < 0.01
-
-
-def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Particulars) -> None:
-    wire = Wire(MessageFeed, usv)
-    same = message("h", None, compass_rad=1.0)
-    wire.tell(same, same)
-    wire.tell(same, after=0.1)
-    assert wire.balance()["doubled"] == 1
 
 
 def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
@@ -228,7 +164,7 @@ FIXES = st.builds(
     st.floats(-200.0, 200.0),
     st.floats(-400.0, 400.0),
 )
-LINK = MavlinkWriter(servos=Servos.of(BOAT))
+LINK = example.MavlinkRows(Servos.of(BOAT))
 WIDE = st.floats(allow_nan=True, allow_infinity=True, width=32)
 PACKETS = st.one_of(
     st.builds(LINK.attitude, TIMES, st.floats(-7.0, 7.0), WIDE),
@@ -279,14 +215,6 @@ def test_whatever_comes_is_survived(kind, wires) -> None:  # type: ignore[no-unt
             assert not np.isinf(z).any()
 
     survive()
-
-
-def test_messages_of_one_moment_do_not_overflow_the_clock() -> None:
-    """Five stamps seconds apart that come within a moment: their rate is not known."""
-    clock = _Clock()
-    for k in range(6):
-        clock.tell(k * 1e-313, 2.0 * k)
-    assert math.isfinite(clock.at(1.0))
 
 
 FIX = b"$GPRMC,000000,A,6000.00,N,01000.00,E,2.0,0.0,010124,,,A"

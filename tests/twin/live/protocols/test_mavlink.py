@@ -20,7 +20,6 @@ from twin.channels import (
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.particulars import Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
-from usv_kernel.servos import ServoError
 
 common = pytest.importorskip(
     "pymavlink.dialects.v20.common", reason="needs pymavlink: pip install 'usv-twin[view]'"
@@ -63,12 +62,6 @@ def test_messages_of_a_moment_are_a_row(wire: Wire) -> None:
     assert cmd == pytest.approx([20.0, 20.0, -math.radians(15.0), -math.radians(15.0)])
 
 
-def test_mavlink_1_is_understood(wire: Wire) -> None:
-    made = common.MAVLink_attitude_message(7000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.1)
-    wire.tell(bytes(made.pack(common.MAVLink(None, 1, 1), force_mavlink1=True)))
-    assert wire.take(after=1.0)[0][1][4] == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("steering", ["drives", "differential"])
 def test_servos_there_and_back_give_the_same_commands(steering: str) -> None:
     boat = Particulars(
@@ -86,15 +79,6 @@ def test_servos_there_and_back_give_the_same_commands(steering: str) -> None:
 
 
 Names = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [({"left": 17}, "output"), ({"middle": 1000.0}, "rise"), ({"shaft_speed": 0.0}, "above 0")],
-)
-def test_wrong_servos_are_reported(wrong: dict[str, float], why: str) -> None:
-    with pytest.raises(ServoError, match=why):
-        Servos(**{"shaft_speed": 1.0, "angle": 1.0, **wrong})  # type: ignore[arg-type]
 
 
 def test_servo_times_of_32_bits_and_of_other_clocks_are_understood(wire: Wire) -> None:
@@ -214,47 +198,18 @@ def test_odometry_is_what_ardupilot_takes(wire: Wire) -> None:
     assert second.reset_counter == first.reset_counter + 1
 
 
-def test_a_short_prediction_goes_back_as_far_as_it_reaches(wire: Wire) -> None:
-    wire.tell(MavlinkWriter().position(1.0, (59.5, 10.5), (0, 0)))
-    estimate, prediction = estimate_of(0.0)
-    short = type(prediction)(
-        0.0,
-        prediction.start,
-        prediction.start_cov,
-        prediction.t[:18],
-        prediction.mean[:18],
-        prediction.cov[:18],
-    )
-    parser = common.MAVLink(None)
-    found = [m for d in wire.feed.encode(estimate, short) for m in parser.parse_buffer(d)]
-    points = next(m for m in found if m.get_type() == "TRAJECTORY_REPRESENTATION_WAYPOINTS")
-    assert points.valid_points == 2 and math.isnan(points.pos_x[2])
-
-
 def test_roll_pitch_and_climb_are_read(wire: Wire) -> None:
     write = MavlinkWriter()
     wire.tell(
         write.position(7.0, (59.5, 10.5), (1.0, -2.0), down=(-3.5, 0.25)),
         write.attitude(7.0, -0.5, 0.1, (0.2, -0.1), (0.03, -0.04)),
-        write.imu(7.0, (0.5, -0.25, -9.75)),
+        highres(0b111, 0.5, -0.25, -9.75, 0.0, 0.0, 0.0),
     )
     z = wire.take(after=1.0)[0][1]
     assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.5, -0.25, -9.75])
     assert z[[GYRO_X, GYRO_Y]] == pytest.approx([0.03, -0.04])
     assert z[[AHRS_ROLL, AHRS_PITCH]] == pytest.approx([0.2, -0.1])
     assert z[[GPS_Z, GPS_VZ]] == pytest.approx([-3.5, 0.25])
-
-
-@pytest.mark.parametrize("kind", ["RAW_IMU", "SCALED_IMU"])
-def test_accelerations_in_milli_g_are_read(wire: Wire, kind: str) -> None:
-    numbers = (100, -200, -1000, 0, 0, 0, 0, 0, 0)
-    if kind == "RAW_IMU":
-        made = common.MAVLink_raw_imu_message(7_000_000, *numbers)
-    else:
-        made = common.MAVLink_scaled_imu_message(7000, *numbers)
-    wire.tell(MavlinkWriter().attitude(7.0, 0.0, 0.0), other(made))
-    z = wire.take(after=1.0)[0][1]
-    assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.981, -1.962, -9.81])
 
 
 def highres(flags: int, *parts: float) -> bytes:
@@ -266,30 +221,24 @@ IMU = [ACCEL_X, ACCEL_Y, ACCEL_Z, GYRO_X, GYRO_Y, GYRO]
 PARTS = 0.5, -0.25, -9.75, 0.03, -0.04, 0.1
 
 
-@pytest.mark.parametrize("flags", [0b111111, 0b000011, 0b101101, 0b111000])
+@pytest.mark.parametrize("kind", ["RAW_IMU", "SCALED_IMU"])
+def test_milli_g_and_mrad_of_an_imu_are_read(wire: Wire, kind: str) -> None:
+    numbers = (100, -200, -1000, 30, -40, 100, 0, 0, 0)
+    if kind == "RAW_IMU":
+        made = common.MAVLink_raw_imu_message(7_000_000, *numbers)
+    else:
+        made = common.MAVLink_scaled_imu_message(7000, *numbers)
+    wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), None), other(made))
+    z = wire.take(after=1.0)[0][1]
+    assert z[IMU] == pytest.approx([0.981, -1.962, -9.81, 0.03, -0.04, 0.1])
+
+
+@pytest.mark.parametrize("flags", [0, 0b111111, 0b000011, 0b101101, 0b111000])
 def test_parts_of_an_imu_that_are_not_flagged_are_not_taken(wire: Wire, flags: int) -> None:
     wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), None), highres(flags, *PARTS))
     z = wire.take(after=1.0)[0][1]
     flagged = [value if flags & 1 << bit else np.nan for bit, value in enumerate(PARTS)]
     assert z[IMU] == pytest.approx(flagged, nan_ok=True)
-
-
-def test_an_imu_with_no_flag_at_all_is_void(wire: Wire) -> None:
-    wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), None), highres(0, *PARTS))
-    assert np.isnan(wire.take(after=1.0)[0][1][IMU]).all()
-    assert wire.balance()["void"] == 1
-
-
-@pytest.mark.parametrize("kind", ["RAW_IMU", "SCALED_IMU"])
-def test_gyros_in_mrad_are_read_where_no_attitude_has_rates(wire: Wire, kind: str) -> None:
-    numbers = (100, -200, -1000, 30, -40, 100, 0, 0, 0)
-    raw = kind == "RAW_IMU"
-    made = common.MAVLink_raw_imu_message if raw else common.MAVLink_scaled_imu_message
-    write = MavlinkWriter()
-    wire.tell(write.position(7.0, (59.5, 10.5), None))
-    wire.tell(other(made(7_000_000 if raw else 7000, *numbers)))
-    z = wire.take(after=1.0)[0][1]
-    assert z[[GYRO_X, GYRO_Y, GYRO]] == pytest.approx([0.03, -0.04, 0.1])
 
 
 def test_rates_of_the_attitude_go_before_gyros_until_they_stop(wire: Wire) -> None:
@@ -310,26 +259,6 @@ def test_rates_of_the_attitude_go_before_gyros_until_they_stop(wire: Wire) -> No
     assert z[early, GYRO][np.isfinite(z[early, GYRO])] == pytest.approx([0.2] * 20)
     assert np.nanmin(z[late, GYRO]) == np.nanmax(z[late, GYRO]) == pytest.approx(0.07)
     assert np.nanmax(z[:, GYRO_Y]) == np.nanmin(z[:, GYRO_Y]) == pytest.approx(0.06)
-
-
-@pytest.mark.parametrize("missing", [0, 1, 2])
-def test_a_missing_acceleration_takes_no_other_one_with_it(wire: Wire, missing: int) -> None:
-    z = np.full(19, np.nan)
-    z[:6], z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] = 0.0, (0.5, -0.25, -9.75)
-    z[(ACCEL_X, ACCEL_Y, ACCEL_Z)[missing]] = np.nan
-    for message in MavlinkWriter(servos=Servos.of(BOAT)).row(7.0, z, np.zeros(4), (59.5, 10.5)):
-        wire.tell(message)
-    back = wire.take(after=1.0)[0][1]
-    at = [ACCEL_X, ACCEL_Y, ACCEL_Z]
-    assert back[at] == pytest.approx(z[at], nan_ok=True, abs=1e-6)
-
-
-def test_a_row_without_roll_and_pitch_says_nothing_of_them(wire: Wire) -> None:
-    z = np.full(17, np.nan)
-    z[:6] = 0.0
-    for message in MavlinkWriter(servos=Servos.of(BOAT)).row(7.0, z, np.zeros(4), (59.5, 10.5)):
-        wire.tell(message)
-    assert np.isnan(wire.take(after=1.0)[0][1][6:]).all()
 
 
 def test_the_attitude_goes_back_with_its_forecast(wire: Wire) -> None:

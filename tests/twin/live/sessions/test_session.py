@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,14 +21,12 @@ from twin.live.sessions import simulated
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
-from twin.live.sessions.session import Session
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.physics import weather as wx
 
 VESSEL = Vessel.load("usv75")
 
@@ -100,20 +97,6 @@ def test_helm_and_throttle_steer(tmp_path):
     assert session.simulation.cmd[0, 2] == pytest.approx(VESSEL.helm_max)
 
 
-def test_a_manoeuvre_begins_when_it_is_chosen_and_its_plan_is_known(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
-    sail(session, 7.0)
-    session.steer("turn")
-    sail(session, 4.0)
-    assert session.simulation.cmd[0, 2] == 0.0  # the approach
-    plan = session._plan()
-    assert plan.shape == (round(HORIZON / PLAN_STEP), 4)
-    planned = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
-    for angle in planned:
-        assert session.helm.command(session.t, np.zeros(6))[2] == pytest.approx(angle)
-        sail(session, 0.5)
-
-
 def test_the_autopilot_follows_the_path_by_the_estimate(tmp_path):
     session = SimulatedSession(setup(), tmp_path, "path")
     sail(session, 5.0)
@@ -152,16 +135,6 @@ def test_gps_and_imu_are_lost_and_found_again(tmp_path):
     assert unsure[0] > 2.0 * sure[0]
     assert unsure[3] > 1.3 * sure[3]
     session.order(session.lose, "gps", 0.0)
-    sail(session, 3.0)
-    assert not session._look().gps_lost
-
-
-def test_a_short_loss_ends_by_itself(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
-    sail(session, 5.0)
-    session.lose("gps", 10.0)
-    sail(session, 9.0)
-    assert session._look().gps_lost
     sail(session, 3.0)
     assert not session._look().gps_lost
 
@@ -274,20 +247,6 @@ def test_a_vessel_that_runs_away_is_stopped_and_said(tmp_path):
     assert np.isfinite(session.simulation.state).all()
 
 
-def test_a_log_that_cannot_be_begun_is_reported(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path / "file" / "folder")
-    (tmp_path / "file").write_text("no folder")
-    session.order(session.toggle_record)
-    session._obey()
-    assert "choose another folder" in session.message and not session.recording
-    session.folder = tmp_path / "good"
-    session.order(session.toggle_record)
-    sail(session, 1.0)
-    session.order(session.toggle_record)
-    session._obey()
-    assert len(Log.read(session.recorded)) == 20 and not session.recording
-
-
 def test_rows_that_the_disk_does_not_take_are_kept_until_it_does(tmp_path, full_disk):
     session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.order(session.toggle_record)
@@ -304,53 +263,6 @@ def test_rows_that_the_disk_does_not_take_are_kept_until_it_does(tmp_path, full_
     session.order(session.toggle_record)
     session._obey()
     assert len(Log.read(session.recorded)) == 60 and not session.recording
-
-
-def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkeypatch, full_disk):
-    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "elsewhere"))
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    session.start()
-    session.order(session.toggle_record)
-    wait(lambda: session.kept > 5)
-    full_disk.set()
-    session.stop()
-    assert session.error is None
-    assert session.recorded.parent == tmp_path / "elsewhere" and len(Log.read(session.recorded)) > 5
-    assert Particulars.load(session.recorded.with_suffix(".toml")) == session.particulars
-
-
-def test_the_wind_changes_without_the_waves(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
-    sail(session, 3.0)
-    waves, state = session.simulation.waves.copy(), session.simulation.state.copy()
-    stronger = SeaState.named("2").replace(wind=14.0, wind_from=1.0)
-    session.order(session.change_sea, stronger, False)
-    session._obey()
-    np.testing.assert_array_equal(session.simulation.waves, waves)
-    np.testing.assert_array_equal(session.simulation.state, state)
-    speeds = []
-    for _ in range(40):
-        sail(session, 1.0)
-        sea = session._look().sea
-        speeds.append(np.hypot(*wx.air_velocity(session.t, sea.gusts, sea.weather)))
-    assert np.mean(speeds) == pytest.approx(14.0, rel=0.1)
-    session.order(session.change_sea, SeaState(), False)  # a calm that was none before
-    session._obey()
-    session.order(session.change_sea, stronger, False)
-    sail(session, 2.0)
-    assert np.isfinite(session.simulation.state).all()
-
-
-def test_losses_and_pauses_are_toggled_where_they_are_carried_out(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    for call in (session.toggle_paused, session.toggle_paused):
-        session.order(call)
-    session.order(session.toggle_loss, "gps")
-    session._obey()
-    assert not session.paused and session.is_lost("gps") and not session.is_lost("imu")
-    session.order(session.lose, "gps", 10.0)  # takes the place of the endless one
-    session._obey()
-    assert not session.is_lost("gps")
 
 
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
@@ -371,25 +283,6 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
     session.stop()
     assert session.error is None
     assert len(Log.read(session.recorded)) > 50
-
-
-def test_time_scale_sets_the_pace(tmp_path, monkeypatch):
-    session = SimulatedSession(setup(), tmp_path)
-    session.set_scale(5.0)
-    clock = SimpleNamespace(monotonic=lambda: 2.0)
-    monkeypatch.setattr(simulated, "time", clock)
-    session._anchor, begin = (0.0, session.t), session.t
-    session._advance()
-    assert session.t - begin == pytest.approx(10.0, abs=1e-6)
-
-
-def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
-    session = SimulatedSession(setup(), tmp_path)
-    monkeypatch.setattr(session.helm, "command", lambda t, s: 1 / 0)
-    session.start()
-    wait(lambda: session.error is not None)
-    session.stop()
-    assert isinstance(session.error, ZeroDivisionError)
 
 
 @pytest.fixture
@@ -422,53 +315,8 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
     session.stop()
 
 
-def test_the_twin_may_be_given_the_commands_that_follow(log, tmp_path):
-    errors = []
-    for plan in ("hold", "known"):
-        twin = Twin(particulars_of(VESSEL), "dsw-ukf-plus")
-        session = LogSession(log, twin, VESSEL, tmp_path, plan)
-        session.start()
-        wait(lambda session=session: session.done == log.t[-1])
-        session.stop()
-        errors.append(np.nanmean(session.monitor.history().error[40:]))
-    assert errors[1] < 0.7 * errors[0]
-    with pytest.raises(ValueError, match="hold or known"):
-        LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path, "guess")
-
-
 def twin_row(log: Log, t: float) -> np.ndarray:
     return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
-
-
-def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
-    monkeypatch.setattr("twin.live.sessions.log.MOMENTS", 20)
-    log = simulate("turn", vessel=VESSEL, sea=SeaState(), duration=40.0, seed=2)
-    session = through(log, tmp_path)
-    session.stop()
-    assert len(session._moments) < 30
-    before = None
-    for t in np.arange(20.0, 24.0, 0.05):
-        session.seek(t)
-        now = session._look()
-        assert now.t == pytest.approx(t, abs=1e-6)
-        if before is not None:
-            assert 0.05 < np.hypot(*(now.boat[:2] - before.boat[:2])) < 0.6
-            assert np.hypot(*(now.overlay.state[:2] - before.overlay.state[:2])) < 1.0
-        end = now.overlay.horizons[-1]
-        assert HORIZON - 2.1 < end <= HORIZON
-        k = int(np.argmin(np.abs(log.t - (now.t + end))))
-        assert np.hypot(*(now.overlay.ahead[-1, :2] - log.truth[k, :2])) < 15.0
-        before = now
-
-
-def test_a_log_plays_and_ends(log, tmp_path):
-    session = through(log.without_truth(), tmp_path)
-    session.order(session.set_scale, 10.0)
-    session.order(session.seek, 37.0)
-    wait(lambda: session.snapshot is not None and session.snapshot.t == log.t[-1])
-    assert len(session.snapshot.ahead) == 0
-    assert session.error is None
-    session.stop()
 
 
 def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):
@@ -560,15 +408,6 @@ def test_a_feed_that_falls_silent_is_reported_and_gets_no_more_answers(log, tmp_
     assert session.error is None
 
 
-def test_a_boat_without_an_imu_has_not_lost_it(log, tmp_path):
-    z = log.z.copy()
-    z[:, 5:] = math.nan
-    session = through(Log(log.t, z, log.cmd, None, "bare"), tmp_path)
-    wait(lambda: session.snapshot is not None)
-    assert not session.snapshot.has_imu and not session.snapshot.imu_lost
-    session.stop()
-
-
 def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):
     session = through(log, tmp_path)
     known = session.monitor.history().error
@@ -579,9 +418,3 @@ def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):
     session.order(session.again, "guess")
     wait(lambda: "hold or known" in session.message)
     session.stop()
-
-
-def test_a_session_that_never_began_can_be_stopped(tmp_path):
-    session: Session = SimulatedSession(setup(), tmp_path)
-    session.stop()
-    assert session.snapshot is None

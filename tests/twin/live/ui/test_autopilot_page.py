@@ -14,8 +14,7 @@ from twin.digital_twin import Twin
 from twin.live.external.link import Link, LinkSession
 from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.receiver import ReceiverFeed
-from twin.live.external.simulated import AutopilotRun
-from twin.live.external.view import SitlSession
+from twin.live.external.simulated import AutopilotRun, SitlSession
 from twin.live.sessions.session import Session
 from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of

@@ -7,7 +7,6 @@ import math
 import socket
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,9 @@ from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
 from tests.twin.live.ui.test_viewer import setup, wait  # noqa: E402
 from tests.twin.live.wire import free_port  # noqa: E402
-from twin import Twin  # noqa: E402
-from twin.live.sessions.log import LogSession  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
 from twin.live.ui.messages import RefusedError, checked  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
-from twin.sim.bridge import particulars_of, simulate  # noqa: E402
-from usv_gym import SeaState, Vessel  # noqa: E402
 
 NAN, INF = math.nan, math.inf
 
@@ -233,75 +228,3 @@ def test_nothing_is_imported_or_opened_for_a_name_that_a_browser_sends(
     wait(lambda: session.message)
     assert session.changed == 2 and session.setup.predictor == "persistence"
     assert not any("evil" in name for name in set(sys.modules) - modules)
-
-
-def test_orders_that_fail_are_answered_on_the_page_and_the_view_goes_on(steered, monkeypatch):
-    session, viewer, _refused = steered
-
-    def says(words: str) -> None:
-        wait(lambda: words in viewer.controls.status.content)
-
-    session.order(lambda: 1 / 0)
-    says("ZeroDivisionError")
-    # a mesh that is gone when the page asks for its vessel
-    monkeypatch.setattr("twin.live.ui.viewer.boat_of", lambda *_: Vessel.load("nobody"))
-    session.order(session.restart, session.setup)
-    says("nobody")
-    monkeypatch.undo()
-    session.order(session.simulation.state.__setitem__, (0, 0), math.nan)
-    says("restart with another")
-    frames = viewer.frames
-    wait(lambda: viewer.frames > frames + 3)
-    session.order(session.restart, session.setup)
-    session.order(session.set_paused, False)
-    wait(lambda: session.t > 1.0)
-    assert session.error is None
-
-
-def test_a_boat_that_takes_over_within_a_frame_is_shown_in_the_next(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    viewer = Viewer(session, port=free_port(socket.SOCK_STREAM))
-    session.snapshot = session._look()
-
-    def take_over(*_shown: object) -> None:
-        session.restart(replace(session.setup, predictor="ukf"))
-        raise IndexError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(viewer.curves, "show", take_over)
-        viewer.step(1.0)
-        assert session.changed == 2
-    viewer.step(2.0)
-    assert viewer.curves.blocks
-    viewer.curves.show = lambda: 1 / 0  # a mistake of ours is not hidden
-    viewer._curves_behind = True
-    with pytest.raises(ZeroDivisionError):
-        viewer.step(3.0)
-    viewer.close()
-
-
-def test_the_moment_and_the_plan_of_a_log_are_checked(served, tmp_path):
-    vessel = setup().vessel
-    log = simulate("zigzag", vessel=vessel, sea=SeaState(), duration=20.0, seed=1, dof=3)
-    session = LogSession(log, Twin(particulars_of(vessel), "persistence"), vessel, tmp_path)
-    viewer = served(session)
-    wait(lambda: session.done == log.t[-1] and viewer.frames > 0)
-    wrong = [(viewer.controls.at, value) for value in (NAN, INF, -5.0, 1e9)]
-    wrong += [(viewer.controls.plan, "evil"), (viewer.controls.scale, "infx")]
-    with talk(viewer) as page:
-        for control, value in wrong:
-            session.report("")
-            page.send(update(control, value=value))
-            wait(lambda: session.message.startswith("refused"))
-        session.order(session.seek, NAN)
-        wait(lambda: "finite" in session.message)
-    assert 0.0 <= session.at <= 20.0 and session.plan == "known"
-
-
-def test_a_port_of_another_is_left_to_it(tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    port = free_port(socket.SOCK_STREAM)
-    with socket.create_server(("127.0.0.1", port)):
-        viewer = Viewer(session, port=port)
-        assert viewer.port != port
-        viewer.close()

@@ -42,20 +42,3 @@ def test_an_agent_that_sails_has_a_page_with_losses_and_episodes(
 def test_view_of_a_policy_refuses_what_it_cannot_show(words, error, tmp_path) -> None:
     output = run("view", "--policy", *words, "--out", tmp_path, check=2).output
     assert error in " ".join(output.split())
-
-
-def test_view_of_several_policies_asks_for_one(tmp_path) -> None:
-    folder = tmp_path / "policies"
-    for name in ("a.npz", "b.npz"):
-        drawn_policy("raw").save(folder / name)
-    output = run("view", "--policy", folder, "--out", tmp_path, check=2).output
-    assert "2 agents; name one of them" in " ".join(output.split())
-
-
-def test_view_of_a_policy_without_its_boat_names_the_entries(tmp_path) -> None:
-    other = tmp_path / "other.npz"
-    policy = drawn_policy("raw")
-    policy.names = (*policy.names[:-1], "speed_of_sound")
-    policy.save(other)
-    output = run("view", "--policy", other, "--out", tmp_path, check=2).output
-    assert "speed_of_sound" in output and "observation='raw'" in " ".join(output.split())

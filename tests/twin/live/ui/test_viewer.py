@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import functools
-import itertools
-import json
 import math
 import re
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,17 +23,17 @@ from twin.live.protocols.nmea import NmeaFeed
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
-from twin.motion import CHANNELS
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.vessel.geometry import boat_of
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from twin.live.ui.scene import attitude, borders, quaternion, stretched, strip  # noqa: E402
+from twin.live.ui.scene import attitude, borders, quaternion  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
 
 VESSEL = Vessel.load("usv75")
+REPLAY = Path(__file__).parents[4] / "examples" / "replay.py"
 SHOTS = Path(__file__).parents[3] / "screenshots"
 """Kept for people to look at; git ignores it."""
 
@@ -104,14 +100,6 @@ CLOSE_NOTE = (
 )
 
 
-def boxes(driver: Any, selector: str) -> list[dict[str, float]]:
-    return driver.execute_script(
-        "return [...document.querySelectorAll(arguments[0])].map(e => e.getBoundingClientRect())"
-        ".filter(r => r.width > 0 && r.height > 0).map(r => r.toJSON())",
-        selector,
-    )
-
-
 def errors_of(driver: Any) -> list[Any]:
     """Return what went wrong in the page; its missing icon did not."""
     said = driver.get_log("browser")
@@ -159,86 +147,6 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
     assert errors_of(driver) == []
 
 
-@pytest.mark.slow
-def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
-    session = SimulatedSession(setup(), tmp_path, "turn")
-    session.set_scale(10.0)
-    viewer = served(session)
-    driver = opened(browser, viewer)
-    wait(lambda: session.t > 60.0)
-    wait(lambda: len(boxes(driver, "canvas")) >= 4)  # the scene and three curves
-    pixels(driver, "layout")
-    (left,) = boxes(driver, "#status")
-    curves = boxes(driver, ".uplot")
-    assert left["right"] < 330
-    assert len(curves) == 3
-    for one, following in itertools.pairwise(curves):
-        assert one["bottom"] <= following["top"]
-    for one in curves:
-        assert one["left"] > 900 and one["right"] <= 1280 and one["bottom"] <= 720
-    lines = boxes(driver, "#status td")
-    for one in lines:
-        assert one["right"] <= 300
-    assert driver.execute_script("return document.scrollingElement.scrollWidth") <= 1280
-    units = [viewer.curves.error, viewer.curves.window, viewer.curves.nis]
-    assert [[axis["label"] for axis in curve.axes] for curve in units] == [
-        ["time (s)", "m"],
-        ["time (s)", "s"],
-        ["time (s)", "1"],
-    ]
-
-
-def test_the_deck_has_a_curve_with_its_fan_for_each_channel(browser, served, tmp_path):
-    session = SimulatedSession(setup(predictor="ukf", dof=6), tmp_path, "turn")
-    session.set_scale(10.0)
-    viewer = served(session)
-    driver = opened(browser, viewer)
-    driver.find_element("xpath", "//*[text()='Deck']").click()
-    wait(lambda: session.t > 45.0)
-    wait(lambda: len(boxes(driver, ".uplot")) == len(CHANNELS))
-    session.order(session.set_paused, True)
-    wait(lambda: session.paused)
-    pixels(driver, "deck")
-    shown = boxes(driver, ".uplot")
-    for one, following in itertools.pairwise(shown):
-        assert one["bottom"] <= following["top"]
-    assert shown[-1]["bottom"] <= 720
-    for curve, name in zip(viewer.curves.deck, CHANNELS, strict=True):
-        assert curve.title.startswith(name.split("_")[0]) or name == "deck_speed_mps"
-        ahead, mean, low, high = curve.data
-        assert ahead[0] == 0.0 and ahead[-1] == pytest.approx(10.0)
-        assert (low < mean).all() and (mean < high).all() and np.ptp(mean) > 0.0
-        # the fan opens
-        assert high[-1] - low[-1] > high[0] - low[0]
-    assert viewer.curves.deck[2].axes[1]["label"] == "m"
-    assert errors_of(driver) == []
-
-
-def test_a_page_that_is_open_from_the_begin_shows_the_error(browser, served, tmp_path):
-    """The first error is that of a forecast of 10 s ago."""
-    session = SimulatedSession(setup(predictor="ukf"), tmp_path, "turn")
-    viewer = served(session)
-    wait(lambda: session.snapshot is not None)
-    session.order(session.set_paused, True)
-    driver = browser(1280, 720)
-    driver.get(viewer.url)
-    wait(lambda: len(spans(driver)) == 2)  # this predictor has no window
-    assert session.t < 10.0 and not np.isfinite(viewer.curves.error.data[1]).any()
-    session.order(session.set_scale, 10.0)
-    session.order(session.set_paused, False)
-    wait(lambda: session.t > 20.0)
-    wait(lambda: spans(driver)[0] > 3.0)
-    assert errors_of(driver) == []
-
-
-def spans(driver: Any) -> list[float | None]:
-    """Return the time from the left to the right end of each curve's axis; None of no axis."""
-    return driver.execute_script(
-        "return Object.values((window.__viserTestpoints || {}).uplots || {})"
-        ".map(one => one.chart.scales.x).map(x => x.max - x.min)"
-    )
-
-
 def test_keys_steer(browser, served, tmp_path):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
@@ -284,97 +192,6 @@ def test_a_log_is_seen_with_its_slider(browser, served, tmp_path):
     assert errors_of(driver) == []
 
 
-def test_the_ends_of_every_slider_pass_the_check(browser, served, tmp_path):
-    from selenium.webdriver import ActionChains
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
-
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    viewer = served(session)
-    driver = opened(browser, viewer)
-    for text in ("Weather", "Boat and twin"):
-        driver.find_element(By.XPATH, f"//*[text()='{text}']").click()
-    controls = viewer.controls
-    sliders = controls.throttle, controls.helm, controls.wind, controls.wind_from
-    found = wait(
-        lambda: (
-            len(seen := driver.find_elements(By.CSS_SELECTOR, "[role=slider]")) == len(sliders)
-            and seen
-        )
-    )
-
-    def reaches(handle: Any, key: str, slider: Any, end: float) -> bool:
-        driver.execute_script("arguments[0].focus()", handle)  # once its folder is open
-        ActionChains(driver).send_keys(key).perform()
-        return bool(slider.value == pytest.approx(end))
-
-    for handle, slider in zip(found, sliders, strict=True):
-        for key, end in ((Keys.HOME, slider.min), (Keys.END, slider.max)):
-            wait(functools.partial(reaches, handle, key, slider, end))
-    assert session.message == "" and "not done" not in status(driver)
-
-
-async def _watch(url: str, seconds: float) -> int:
-    """Watch like a browser; return how many messages came."""
-    import msgspec
-    import websockets
-
-    version = viser.__version__
-    camera = {
-        **{"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "fov": 1.0},
-        **{"position": (9.0, 9.0, 9.0), "near": 0.1, "far": 100.0, "image_height": 720},
-        **{"image_width": 1280, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0)},
-    }
-    came = 0
-    async with websockets.connect(
-        url, subprotocols=[f"viser-v{version}"], max_size=None
-    ) as socket_:
-        await socket_.send(msgspec.msgpack.encode(camera))
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            try:
-                await asyncio.wait_for(socket_.recv(), left)
-            except asyncio.TimeoutError:
-                break
-            came += 1
-    return came
-
-
-def watch(url: str, many: int, seconds: float) -> list[int]:
-    """Watch from a process of its own, so that nobody shares its time."""
-    code = (
-        "import asyncio, json, sys; sys.path.insert(0, sys.argv[1]); import test_viewer as t\n"
-        "async def all_():\n"
-        "    one = t._watch(sys.argv[2], float(sys.argv[4]))\n"
-        "    return await asyncio.gather(one, *(t._watch(sys.argv[2], float(sys.argv[4])) "
-        "for _ in range(int(sys.argv[3]) - 1)))\n"
-        "print(json.dumps(asyncio.run(all_())))"
-    )
-    arguments = [str(Path(__file__).parent), url.replace("http", "ws"), str(many), str(seconds)]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
-    )
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-@pytest.mark.slow
-def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
-    session = SimulatedSession(setup(), tmp_path, "zigzag")
-    viewer = served(session)
-    wait(lambda: session.t > 2.0)
-    seen: list[list[int]] = []
-    thread = threading.Thread(target=lambda: seen.append(watch(viewer.url, 5, 8.0)))
-    thread.start()
-    wait(lambda: len(viewer.server.get_clients()) == 5)
-    t, frames = session.t, viewer.frames
-    wait(lambda: session.t > t + 1.0 and viewer.frames > frames)  # while all five watch
-    thread.join()
-    assert len(seen[0]) == 5 and min(seen[0]) > 0
-    wait(lambda: not viewer.server.get_clients())
-    t = session.t
-    wait(lambda: session.t > t + 1.0)  # goes on without a browser
-
-
 def test_another_boat_and_another_twin_take_over(served, tmp_path):
     session = SimulatedSession(setup(), tmp_path)
     viewer = served(session)
@@ -417,30 +234,10 @@ def test_a_feed_that_has_not_begun_answers_orders(served, tmp_path):
     wait(lambda: controls.record.label == "stop recording")
 
 
-def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    session.set_scale(3.0)
-    viewer = served(session)
-    controls = viewer.controls
-    assert controls.scale.value == "3x"
-    session.order(session.toggle_record)
-    session.order(session.toggle_loss, "gps")
-    wait(lambda: controls.record.label.startswith("stop"))
-    wait(lambda: controls.gps.label == "find GPS again")
-    session.order(session.restart, session.setup)
-    wait(lambda: controls.record.label == "record a log")
-    wait(lambda: controls.gps.label == "lose GPS until pressed")
-    session.order(session.toggle_paused)
-    wait(lambda: controls.pause.label == "go on")
-
-
 @pytest.mark.slow
 def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
     log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=60.0, seed=1)
-    z = log.z.copy()
-    z[:, 2:4] = math.nan  # a receiver without velocity
-    bare = Log(log.t, z, log.cmd, log.truth, "bare")
-    session = LogSession(bare, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+    session = LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
     viewer = served(session)
     wait(lambda: session.done == log.t[-1])
     session.order(session.set_paused, True)
@@ -452,26 +249,9 @@ def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
             )
         )
         time.sleep(1.7)
-        for curve in (viewer.curves.error, viewer.curves.nis):
-            times = curve.data[0]
-            known = np.isfinite(curve.data[1:]).all(axis=0)
-            assert not known.any() or times.max() <= t + 0.1
-            assert np.ptp(times) > 0.0  # an axis that vanishes never comes back
-        if t > 10.0:
-            assert np.ptp(viewer.curves.nis.data[1]) > 0.0  # of the place alone
-
-
-@pytest.mark.parametrize("host", ["nosuch.invalid", "203.0.113.9"])
-def test_an_address_of_nobody_is_refused_at_once(host):
-    done = subprocess.run(
-        [sys.executable, "-m", "twin.cli", "view", "--host", host, "-p", "persistence"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 2
-    assert f"--host {host}: cannot listen there" in done.stderr
-    assert "Traceback" not in done.stderr
+        times, error = viewer.curves.error.data[:2]
+        assert not np.isfinite(error).any() or times.max() <= t + 0.1
+        assert np.ptp(times) > 0.0  # an axis that vanishes never comes back
 
 
 @pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
@@ -479,8 +259,8 @@ def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
     port = free_port(socket.SOCK_STREAM)
     with viewing(tmp_path, "--port", str(port), *arguments) as (process, lines):
         assert f"http://127.0.0.1:{port}" in lines[-1]
-        (came,) = watch(f"http://127.0.0.1:{port}", 1, 3.0)
-        assert came > 5
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=60.0) as page:
+            assert page.status == 200
         process.send_signal(signal.SIGINT)
         said, complained = process.communicate(timeout=20)
     assert process.returncode == 0
@@ -498,7 +278,7 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     with viewing(tmp_path, kind, address, *own) as (process, _):
         done = subprocess.run(
             [
-                *(sys.executable, "-m", "twin.cli", "replay", "run.csv", kind, address),
+                *(sys.executable, str(REPLAY), "run.csv", kind, address),
                 *("--speed", "10", "--ship", "usv75"),
             ],
             capture_output=True,
@@ -509,15 +289,8 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
         _, complained = process.communicate(timeout=20)
     assert process.returncode == 0 and "Traceback" not in complained
     assert done.returncode == 0
-    back = re.search(r"(\d+) back", done.stdout.replace("\n", " "))
+    back = re.search(r"(\d+) back", done.stdout)
     assert back is not None and int(back.group(1)) > 20
-
-
-def test_only_this_machine_is_served(tmp_path, served):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    viewer = served(session)
-    assert viewer.url.startswith("http://127.0.0.1:")
-    assert viewer.server.get_host() == "127.0.0.1"
 
 
 def test_a_boat_stands_in_the_scene_as_it_does_at_sea():
@@ -534,7 +307,9 @@ def test_a_boat_stands_in_the_scene_as_it_does_at_sea():
         for axis in np.eye(3):
             np.testing.assert_allclose(turn @ axis, rotate(phi, theta, psi, *axis), atol=1e-12)
     # north is y, east is x, down is -z
-    w, x, y, z = quaternion(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+    w, x, y, z = quaternion(
+        Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    )
     turn = Rotation.from_quat([x, y, z, w]).as_matrix()
     np.testing.assert_allclose(turn @ [1.0, 2.0, 3.0], [2.0, 1.0, -3.0], atol=1e-12)
 
@@ -549,13 +324,3 @@ def test_the_ribbon_is_two_standard_deviations_wide_across_the_track():
     np.testing.assert_allclose(left[:, 0], places[:, 0], atol=1e-12)
     still = borders(np.zeros((30, 2)), covs)  # a boat that lies still
     assert np.isfinite(still).all()
-
-
-def test_the_surface_is_a_net_without_holes():
-    edge = stretched(8)
-    assert edge[0] == -1.0 and edge[-1] == 1.0 and np.all(np.diff(edge) > 0.0)
-    faces = strip(9, 9)
-    corners = np.stack(np.meshgrid(edge, edge, indexing="ij"), axis=-1).reshape(-1, 2)
-    a, b, c = np.moveaxis(corners[faces], 1, 0)
-    (p, q), (r, s) = (b - a).T, (c - a).T
-    assert 0.5 * np.abs(p * s - q * r).sum() == pytest.approx(4.0)

@@ -1,0 +1,103 @@
+"""``usv-twin check``: exit codes, files, and answers on logs of every quality."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.twin.cli.command import run
+from twin import Log, Particulars
+
+
+@pytest.fixture
+def faulty(folder, tmp_path):
+    """Return a log in knots, with a mirrored gyro and angles in degrees, without particulars."""
+    log = Log.read(folder / "run.csv").without_truth()
+    log.z[:, 2:4] /= 1852.0 / 3600.0
+    log.z[:, 5] *= -1.0
+    log.cmd[:, 2:] *= 180.0 / np.pi
+    log.write(tmp_path / "bad.csv")
+    return tmp_path / "bad.csv"
+
+
+def codes(path, severity):
+    """Return the codes of findings in a file of --json."""
+    found = json.loads(path.read_text())["findings"]
+    return {finding["code"] for finding in found if finding["severity"] == severity}
+
+
+def test_a_sound_log_has_no_error_and_a_twin_that_may_be_trusted(folder, tmp_path):
+    files = ("--out", tmp_path / "a.png", "--json", tmp_path / "a.json")
+    out = run("check", folder / "run.csv", "-p", "ukf", *files).stdout
+    verdict = json.loads((tmp_path / "a.json").read_text())["verdict"]
+    assert verdict["grade"] in ("ok", "doubtful")
+    assert [answer["about"] for answer in verdict["answers"]] == [
+        "forecast",
+        "coverage",
+        "without GPS",
+        "parameters",
+        "sensors",
+    ]
+    assert all(answer["text"] in out for answer in verdict["answers"])
+    assert not codes(tmp_path / "a.json", "error")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_a_twin_the_log_alone_is_checked(folder, tmp_path):
+    files = ("--no-twin", "--no-picture", "--json", tmp_path / "a.json")
+    run("check", folder / "run.csv", *files)
+    assert json.loads((tmp_path / "a.json").read_text())["verdict"] is None
+    run("check", folder / "run.csv", *files, "--strict", check=1)  # fixes are missing
+
+
+def test_faults_are_named_and_particulars_are_begun(faulty, tmp_path):
+    files = ("--no-picture", "--json", tmp_path / "a.json", "--write", tmp_path / "boat.toml")
+    out = run("check", faulty, *files, check=1).stdout
+    assert codes(tmp_path / "a.json", "error") == {"speed-unit", "gyro-sign", "angle-degrees"}
+    assert "--ship" in out  # what the second part needs
+    assert "# length = ?" in (tmp_path / "boat.toml").read_text()
+    assert "--force" in run("check", faulty, *files, check=2).stderr
+
+
+def test_particulars_of_a_known_boat_are_written_whole(folder, tmp_path):
+    written = tmp_path / "boat.toml"
+    run("check", folder / "run.csv", "--no-twin", "--no-picture", "--write", written)
+    assert Particulars.load(written).length == Particulars.load(folder / "run.toml").length
+
+
+def test_a_twin_of_a_faulty_log_is_bad(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    log.z[:, 5] *= -1.0
+    log.write(tmp_path / "bad.csv")
+    (tmp_path / "bad.toml").write_text((folder / "run.toml").read_text())
+    kept = tmp_path / "a.json"
+    run("check", tmp_path / "bad.csv", "-p", "ukf", "--no-picture", "--json", kept, check=1)
+    verdict = json.loads(kept.read_text())["verdict"]
+    assert verdict["grade"] == "bad"
+    assert verdict["answers"][-1]["numbers"]["findings"] == {"gyro-sign": "error"} | {
+        code: "warning" for code in codes(kept, "warning")
+    }
+
+
+def test_a_log_that_cannot_be_used_says_why(folder, tmp_path):
+    rows = (folder / "run.csv").read_text().splitlines()
+    place = rows[0].split(",").index("compass_rad")
+    short = [",".join(c for j, c in enumerate(row.split(",")) if j != place) for row in rows]
+    twice = [*rows, rows[-1].replace(",", ",9", 1)]
+    for name, lines, word in (("short", short, "compass_rad"), ("twice", twice, "one row")):
+        path = tmp_path / f"{name}.csv"
+        path.write_text("\n".join(lines) + "\n")
+        path.with_suffix(".toml").write_text((folder / "run.toml").read_text())
+        out = run("check", path, "--no-picture", check=1).stdout
+        assert "error: " in out and word in out and "no twin can run" in out
+
+
+@pytest.mark.parametrize("content", [b"", b"t_s\n", b"\x00\xff" * 99, b"a,b\n1,2\n", b"t_s,x\n1\n"])
+def test_a_file_of_another_kind_is_one_clear_line(tmp_path, content):
+    path = tmp_path / "odd.csv"
+    path.write_bytes(content)
+    found = run("check", path, "--no-picture", check=None)
+    assert found.exit_code in (1, 2)
+    assert "error: " in found.output and "Traceback" not in found.output

@@ -1,0 +1,238 @@
+"""Faults are named soon at every rate, sound sensors stay, and the estimate is as without one."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from twin import Log, Twin
+from twin.benchmark.loading import with_faults
+from twin.integrity.monitor import SensorMonitor, SensorStatus
+from twin.integrity.state import SENSORS
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, SensorSuite, Vessel
+from usv_gym.world.faults import parse_faults
+
+START_S = 70.0
+"""When faults begin."""
+
+COMPASS_HZ = {20: 20.0, 5: 10.0, 1: 5.0}
+
+
+def suite(rate: int) -> SensorSuite:
+    return dataclasses.replace(SensorSuite(), gps_rate=float(rate), compass_rate=COMPASS_HZ[rate])
+
+
+@functools.cache
+def begun(vessel: str, rate: int, loss: str = "none") -> tuple[Log, Twin, int]:
+    """Return a clean zigzag, a twin that has seen it until faults begin, and its next row."""
+    boat = Vessel.load(vessel)
+    log = simulate(
+        "zigzag", vessel=boat, sea=SeaState(hs=0.4), duration=120.0, seed=5, suite=suite(rate)
+    )
+    rows = with_faults(log, parse_faults(loss, START_S))
+    twin, first = (
+        Twin(particulars_of(boat, suite(rate)), "ukf"),
+        int(np.searchsorted(log.t, START_S)),
+    )
+    for k in range(first):
+        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
+    return rows, twin, first
+
+
+def sailed(vessel: str, rate: int, fault: str, end: float, loss: str = "none"):
+    """Return when each sensor was first named, what was excluded, and the error of position."""
+    log, twin, first = begun(vessel, rate, loss)
+    twin, rows = copy.deepcopy(twin), with_faults(log, parse_faults(fault, START_S))
+    named: dict[str, float] = {}
+    excluded: set[str] = set()
+    for k in range(first, int(np.searchsorted(log.t, end))):
+        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
+        for sensor in SENSORS:
+            status = twin.health[sensor].status
+            if status in ("doubtful", "excluded"):
+                named.setdefault(sensor, rows.t[k] - START_S)
+            if status == "excluded":
+                excluded.add(sensor)
+    assert log.truth is not None
+    truth = log.truth[np.searchsorted(log.t, twin.t)]
+    return twin, named, excluded, float(np.hypot(*(twin.estimate().state[:2] - truth[:2])))
+
+
+FAULTS = [
+    ("gps-jump=20:10", "gps", 2.0),
+    ("gps-frozen10", "gps", 3.0),
+    ("velocity-scale=1.944:15", "gps", 4.0),
+    ("compass-bias=0.5:15", "compass", 2.0),
+    ("compass-ramp=0.05:15", "compass", 4.0),
+    ("gyro-bias=0.1:15", "gyro", 3.0),
+    ("gyro-sign15", "gyro", 3.0),
+    ("gyro-frozen15", "gyro", 3.0),
+    ("accel_x-bias=1:15", "accelerometers", 4.0),
+]
+
+
+@pytest.mark.parametrize("rate", [20, 5, 1])
+@pytest.mark.parametrize(("fault", "sensor", "within"), FAULTS, ids=[row[0] for row in FAULTS])
+def test_fault_is_named_soon_and_alone_at_every_rate(fault, sensor, within, rate):
+    _, named, excluded, _ = sailed("usv75", rate, fault, START_S + 12.0)
+    assert named[sensor] < within
+    assert excluded <= {sensor}
+
+
+@pytest.mark.parametrize("fault", [row[0] for row in FAULTS])
+def test_twin_is_where_it_would_be_without_the_fault(fault):
+    _, _, _, clean = sailed("usv75", 5, "none", START_S + 27.0)
+    twin, _, _, error = sailed("usv75", 5, fault, START_S + 27.0)
+    assert error < clean + 1.0
+    assert all(twin.health[name].status == "ok" for name in SENSORS)
+
+
+@pytest.mark.parametrize("fault", ["gyro-sign15", "gyro-bias=0.1:15", "compass-bias=0.5:15"])
+def test_without_gps_the_commands_tell_gyro_from_compass(fault):
+    sensor = fault.split("-")[0]
+    _, named, excluded, _ = sailed("usv75", 5, fault, START_S + 14.0, loss="gps40@60")
+    assert named[sensor] < 3.0
+    assert excluded == {sensor}
+
+
+def test_without_gps_the_commands_tell_a_bias_of_the_accelerometers():
+    twin, named, _, error = sailed("usv75", 5, "accel_x-bias=1:30", START_S + 25.0, "gps50@60")
+    assert named["accelerometers"] < 8.0
+    # a bias of 1 m/s2 alone makes 300 m in this time
+    assert error < 30.0
+    assert twin.health["compass"].status == "ok"
+
+
+@pytest.mark.parametrize("vessel", ["usv75", "otter", "wamv16"])
+def test_reversed_commands_are_named_and_sensors_stay(vessel):
+    _, named, excluded, _ = sailed(vessel, 5, "commands-sign30", START_S + 15.0)
+    assert named["commands"] < 10.0
+    assert excluded == {"commands"}
+
+
+@pytest.mark.parametrize("rate", [20, 5, 1])
+@pytest.mark.parametrize("vessel", ["usv75", "otter", "telemetron"])
+def test_sound_sensors_are_silent(vessel, rate):
+    boat = Vessel.load(vessel)
+    hs = 0.2 if vessel == "otter" else 0.9
+    log = simulate(
+        "random", vessel=boat, sea=SeaState(hs=hs), duration=150.0, seed=rate, suite=suite(rate)
+    )
+    monitor, seen = SensorMonitor(particulars_of(boat, suite(rate))), set()
+    for k in range(len(log)):
+        dt = log.t[k] - log.t[k - 1] if k else 0.0
+        monitor.check(dt, log.z[k], log.cmd[k], np.zeros(6), False)
+        seen |= {(name, one.status) for name, one in monitor.statuses(0.0).items()}
+    assert {status for _, status in seen} <= {"ok", "absent"}
+
+
+def test_whitened_innovations_of_sound_sensors_are_white():
+    """Windowed means have the variance of white noise: the level that is learned stays near 1."""
+    log, twin, _ = begun("usv75", 5)
+    assert len(log) > 1000
+    level = twin.monitor.record["bank"]["filters"]["level"][0]
+    assert (level >= 1.0).all()
+    assert level.mean() < 1.5
+
+
+def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
+    """Normalised squared errors of the filter that leaves the GPS out: chi-square of two."""
+    squares = []
+    for seed in range(6):
+        boat = Vessel.load("wamv16")
+        log = simulate(
+            "zigzag", vessel=boat, sea=SeaState(hs=0.3), duration=80.0, seed=seed, suite=suite(5)
+        )
+        particulars = particulars_of(boat, suite(5))
+        monitor = SensorMonitor(particulars)
+        for k in range(len(log)):
+            dt = log.t[k] - log.t[k - 1] if k else 0.0
+            monitor.check(dt, log.z[k], log.cmd[k], np.zeros(6), False)
+        one = monitor.record["bank"]["filters"][3]
+        assert log.truth is not None
+        error = one["x"][:2] - log.truth[-1, :2]
+        cov = one["P"][:2, :2] + particulars.instruments.gps_bias_sd**2 * np.eye(2)
+        squares.append(error @ np.linalg.solve(cov, error))
+    assert 0.3 < np.mean(squares) < 6.0
+
+
+def test_saved_twin_goes_on_to_the_bit(tmp_path):
+    """The file is written in the middle of a fault."""
+    log, twin, first = begun("usv75", 5)
+    twin, rows = copy.deepcopy(twin), with_faults(log, parse_faults("gyro-sign15", START_S))
+    for k in range(first, first + 100):
+        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
+    assert twin.health["gyro"].status == "excluded"
+    twin.save(tmp_path / "boat.twin")
+    other = Twin.load(tmp_path / "boat.twin")
+    assert other.health == twin.health
+    for k in range(first + 100, first + 500):
+        for one in (twin, other):
+            one.step(rows.t[k], rows.z[k], rows.cmd[k])
+    np.testing.assert_array_equal(other.monitor.memory, twin.monitor.memory)
+    np.testing.assert_array_equal(other.estimate().state, twin.estimate().state)
+
+
+def test_reset_monitor_knows_nothing():
+    log, twin, _ = begun("usv75", 5)
+    twin = copy.deepcopy(twin)
+    twin.reset()
+    fresh = Twin(twin.particulars, "ukf")
+    for row in range(200):
+        for one in (twin, fresh):
+            one.step(log.t[row], log.z[row], log.cmd[row])
+    np.testing.assert_array_equal(twin.monitor.memory, fresh.monitor.memory)
+
+
+def test_a_status_prints_as_words():
+    status = SensorStatus("excluded", 88.42599987983704, "gps jumped")
+    assert str(status) == "excluded since 88.4 s: gps jumped"
+    assert str(SensorStatus("absent", np.nan, "")) == "absent"
+
+
+numbers = st.one_of(
+    st.floats(width=64),
+    st.floats(-10.0, 10.0),
+    st.sampled_from((0.0, 1e-300, 1e300, -1e300, np.nan, np.inf, -np.inf)),
+)
+
+
+@settings(max_examples=60, derandomize=True)
+@given(
+    arrays(float, (12, 10), elements=numbers),
+    arrays(float, (12, 4), elements=numbers),
+    st.lists(st.sampled_from((1e-9, 0.01, 0.05, 1.0, 100.0, 1e6)), min_size=12, max_size=12),
+)
+def test_what_is_let_through_is_possible_under_any_rows(z, cmd, steps):
+    monitor = copy.deepcopy(begun("usv75", 5)[1].monitor)
+    for _ in range(8):
+        for row, dt in enumerate(steps):
+            out = monitor.check(dt, z[row], cmd[row], np.zeros(6), True)[0]
+            assert not np.isinf(out[:8]).any()
+    x = monitor.record["bank"]["filters"]["x"]
+    assert np.isfinite(x).all()
+
+
+@settings(max_examples=5, derandomize=True)
+@given(st.integers(0, 2**32))
+def test_boat_recovers_from_garbage(seed):
+    """After 10 s of it all sensors are in use again."""
+    log, twin, first = begun("usv75", 5)
+    twin, z, rng = copy.deepcopy(twin), log.z.copy(), np.random.default_rng(seed)
+    struck = (log.t >= START_S) & (log.t < START_S + 10.0)
+    noise = rng.normal(size=z[struck, :8].shape) * 10.0 ** rng.uniform(-3, 12, z[struck, :8].shape)
+    z[struck, :8] = np.where(np.isfinite(z[struck, :8]), noise, np.nan)
+    for k in range(first, int(np.searchsorted(log.t, START_S + 40.0))):
+        twin.step(log.t[k], z[k], log.cmd[k])
+    assert {twin.health[name].status for name in SENSORS} == {"ok"}
+    assert log.truth is not None
+    truth = log.truth[np.searchsorted(log.t, twin.t), :2]
+    assert np.hypot(*(twin.estimate().state[:2] - truth)) < 5.0

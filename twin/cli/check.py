@@ -1,0 +1,107 @@
+"""``usv-twin check``: what is wrong with a log, and whether a twin of it may be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.benchmark.trust import BAD, OK, Verdict, judge
+from twin.cli.common import (
+    LogArgument,
+    MappingOption,
+    ModelOption,
+    OptionError,
+    PredictorOption,
+    ShipOption,
+    console,
+    note,
+    row_progress,
+    write_json,
+    write_text,
+)
+from twin.cli.pictures import draw_check
+from twin.cli.tables import print_check, print_verdict
+from twin.integrity.findings import ERROR, WARNING
+from twin.integrity.log_check import check_log
+from twin.predictors.registry import DEFAULT
+from twin.sim.recorded import has_particulars, particulars_for_log
+from usv_kernel.files import write_whole
+
+
+def check_command(
+    log: LogArgument,
+    ship: ShipOption = None,
+    mapping: MappingOption = None,
+    predictor: PredictorOption = DEFAULT,
+    model: ModelOption = None,
+    no_twin: Annotated[
+        bool, typer.Option("--no-twin", help="Only check the log: no twin runs over it.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Picture, PNG. [<log>_check.png]")
+    ] = None,
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw none.")] = False,
+    write: Annotated[
+        Path | None,
+        typer.Option(help="Particulars file to write, with the instruments as the log shows them."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite that file.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Fail on warnings and a doubtful twin, too.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Everything, in full precision.")
+    ] = None,
+) -> None:
+    """Tell what is wrong with a log, and whether a twin of it may be trusted.
+
+    First the log: rates, gaps, noise and delays of the sensors, units, signs and sides, and how
+    sensors and commands agree. One line a finding, with its number and the remedy.
+
+    Then the twin, where the particulars of the boat are known. It runs over the log once. Forecasts
+    are scored against the log's own fixes and headings, beside persistence; copies of the twin go
+    on without GPS in the later half. Each line is ok, doubtful or bad.
+
+    Exit code 0: nothing is wrong; 1: errors in the log or a bad twin (with --strict also warnings
+    and a doubtful one); 2: it cannot be read.
+    """
+    if write is not None and write.exists() and not force:
+        raise OptionError(f"--write {write}: is there already; choose another name, or --force")
+    known = ship is not None or has_particulars(log)
+    boat = particulars_for_log(log, ship, mapping) if known else None
+    found = check_log(log, mapping, boat)
+    print_check(found)
+    verdict: Verdict | None = None
+    if boat is None:
+        note(
+            "whether a twin may be trusted needs the particulars of the boat: --write FILE writes "
+            "them as far as the log shows them, then fill in length, beam, draft and mass there; "
+            "or name the boat with --ship"
+        )
+    elif found.log is None:
+        note("no twin can run over this log until its errors are mended")
+    elif not no_twin:
+        with row_progress("the twin runs", len(found.log)) as advance:
+            verdict = judge(
+                found.log, boat, predictor, model=model, findings=found.findings, on_row=advance
+            )
+        print_verdict(verdict)
+    if json_file is not None:
+        trust = None if verdict is None else verdict.to_json()
+        write_json(json_file, {**found.to_json(), "verdict": trust})
+    if not no_picture and len(found.recording.t) > 1:
+        path = picture or Path(f"{found.recording.name}_check.png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, draw_check(found, verdict))
+        console.print(f"picture: {path}", soft_wrap=True)
+    if write is not None:
+        write_text(write, found.particulars_text(boat))
+        console.print(f"particulars: {write}", soft_wrap=True)
+        if boat is None:
+            note("length, beam, draft and mass stand in no log: fill them in before use")
+    grade = OK if verdict is None else verdict.grade
+    is_bad = found.count(ERROR) > 0 or grade == BAD
+    if is_bad or (strict and (found.count(WARNING) > 0 or grade != OK)):
+        raise typer.Exit(1)

@@ -1,0 +1,247 @@
+"""``usv-twin identify``: run a twin over a log and print its model."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twin.benchmark.trust import TrustMeter
+from twin.channels import STATE
+from twin.cli.common import (
+    MappingOption,
+    ModelOption,
+    OptionError,
+    ShipOption,
+    check_out,
+    console,
+    explain,
+    note,
+    row_progress,
+    write_json,
+    write_text,
+)
+from twin.cli.tables import print_estimate, print_health, print_prior
+from twin.digital_twin import Twin
+from twin.integrity.log_check import check_log
+from twin.logs.bag_writer import BAG_SUFFIX, write_bag
+from twin.logs.errors import LogError
+from twin.logs.log import Log
+from twin.logs.tables import StateTable
+from twin.motion import CHANNELS
+from twin.predictors.base import Estimate
+from twin.predictors.own_prior import prior_of_runs
+from twin.predictors.registry import DEFAULT, PREDICTORS
+from twin.predictors.ukf import ModelPredictor
+from twin.sim.recorded import twin_for_log
+
+
+def identify_command(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog. "
+            "Several runs of one boat together.",
+        ),
+    ],
+    predictor: Annotated[
+        str | None,
+        typer.Option(
+            "--predictor",
+            "-p",
+            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}, or the resumed one.",
+        ),
+    ] = None,
+    model: ModelOption = None,
+    ship: ShipOption = None,
+    mapping: MappingOption = None,
+    until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="File for the whole state of the twin at the end.")
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            help="File that --save wrote: continue from it, with the rows after its time."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="State and parameters with sd at every row: .csv, .parquet or .geojson; "
+            "or the log with the states: .mcap.",
+        ),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="The last estimate, in full precision.")
+    ] = None,
+    save_prior: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for what the runs say of the boat's next run, such as boat.prior. "
+            'Particulars use it with the line: prior = "boat.prior".'
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
+    ] = False,
+    with_faulty: Annotated[
+        bool,
+        typer.Option(
+            "--with-faulty",
+            help="Keep with --save-prior also runs in which sensors or commands are at fault, or "
+            "whose forecasts are bad.",
+        ),
+    ] = False,
+) -> None:
+    """Run the twin over a log, and print the state and the parameters that it estimates.
+
+    The log needs the columns t_s, n_left_rps, n_right_rps, delta_left_rad, delta_right_rad,
+    gps_x_m, gps_y_m and compass_rad; gps_vx_mps, gps_vy_mps, gyro_radps, accel_x_mps2 and
+    accel_y_mps2 help. Empty cells are missing data.
+
+    With --save the twin can continue later, here with --resume or in Python with Twin.load. The
+    results are the same bits as without the stop. The file holds predictor, boat and instruments;
+    those options are then left out.
+
+    Several logs are runs of one boat: each is identified by itself, and the parameters are
+    combined, with their covariance widened for load and fouling. --save-prior keeps that as the
+    boat's own prior, also of one run. Each run begins without an earlier prior. Runs in which
+    sensors or commands are at fault, or whose forecasts are bad, are left out of it. A run that is
+    given twice counts once.
+
+    Whether the twin may be trusted says usv-twin check.
+    """
+    if save_prior is not None:
+        if resume is not None:
+            raise OptionError("--save-prior and --resume: a prior is made from whole runs")
+        if save_prior.exists() and not force:
+            raise OptionError(
+                f"--save-prior {save_prior}: is there already; choose another name, or --force"
+            )
+    one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
+    given = [name for name, value in one.items() if value is not None]
+    if len(logs) > 1 and given:
+        raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
+    together = save_prior is not None or len(logs) > 1
+    seen: dict[str, Path] = {}
+    twins = []
+    for path in logs:
+        log, twin = twin_for_log(
+            path,
+            predictor,
+            ship=ship,
+            mapping=mapping,
+            model=model,
+            until=until,
+            resume=resume,
+            own_prior=not together,
+        )
+        for line in log.notes:
+            note(line)
+        console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
+        content = hashlib.sha256(b"".join(part.tobytes() for part in (log.t, log.z, log.cmd)))
+        first = seen.setdefault(content.hexdigest(), path)
+        if first is not path:
+            note(f"{path}: has the same rows as {first}, and counts once")
+            continue
+        if out is not None:
+            check_out(out, log, twin)
+        fresh = Twin.load(resume) if resume is not None else twin
+        fresh.reset()
+        prior = fresh.estimate()
+        meter = TrustMeter(twin, log) if save_prior is not None else None
+        table = _run(twin, log, meter)
+        print_health(twin)
+        last = twin.estimate()
+        if not last.ready:
+            raise LogError(f"{path}: no fix and heading came together, so there is nothing to say")
+        if len(logs) == 1:
+            print_estimate(prior, last, twin, log.name)
+        if save is not None:
+            twin.save(save)
+            console.print(f"the twin at t = {twin.t:.2f} s: {save}")
+        if out is not None:
+            if out.suffix == BAG_SUFFIX:
+                write_bag(out, log, table)
+            else:
+                table.write(out, boat=twin.particulars.name, log=log.name, predictor=twin.name)
+            console.print(f"every row: {out}")
+        if json_file is not None:
+            write_json(json_file, _estimate_json(last, twin))
+        unfit = ""
+        if meter is not None and not with_faulty:
+            findings = check_log(path, mapping, twin.particulars).findings
+            unfit = meter.verdict(findings).unfit
+        if unfit:
+            note(f"{path}: left out of the prior, or keep it with --with-faulty; {unfit}")
+        else:
+            twins.append(twin)
+    if together:
+        _combine(twins, save_prior)
+
+
+def _run(twin: Twin, log: Log, meter: TrustMeter | None) -> StateTable:
+    """Run a twin over a log under a progress bar, scored by a meter if there is one."""
+    with row_progress(f"identifying {log.name}", len(log)) as advance:
+
+        def on_row() -> None:
+            advance()
+            if meter is not None:
+                meter()
+
+        return twin.run(log, on_row)
+
+
+def _combine(twins: Sequence[Twin], path: Path | None) -> None:
+    """Print what runs say together of the boat, and write it as a prior."""
+    if not twins:
+        raise LogError(
+            f"{path}: not written, as every run has a fault of sensors or commands, or bad "
+            "forecasts; mend the logs, give other runs, or keep them with --with-faulty"
+        )
+    if path is None and not isinstance(twins[0].predictor, ModelPredictor):
+        console.print(f"{twins[0].name} has no model, and so identifies no parameters.")
+        return
+    prior = prior_of_runs([twin.predictor for twin in twins])
+    twins[0].reset()
+    print_prior(prior, twins[0])
+    if path is None:
+        explain("--save-prior boat.prior keeps this for the next run of the boat.")
+        return
+    write_text(path, prior.file_text())
+    console.print(f'prior: {path}; use it with prior = "{path.name}" in the particulars')
+
+
+def _estimate_json(estimate: Estimate, twin: Twin) -> dict[str, Any]:
+    """Return the last estimate as plain data; SI units, as the names end."""
+    names = twin.predictor.parameter_names
+    seen, in_use = twin.predictor.identifiability(), twin.predictor.parameters_in_use()
+    content: dict[str, Any] = {
+        "predictor": twin.name,
+        "t_s": estimate.t,
+        "ready": estimate.ready,
+        "datum": None if twin.datum is None else twin.datum.to_json(),
+        "state": dict(zip(STATE, estimate.state.tolist(), strict=True)),
+        "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
+        "parameters_in_use": None if in_use is None else in_use.name,
+        "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
+        "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
+        "health": {name: status._asdict() for name, status in twin.health.items()},
+        "health_notes": list(twin.notes),
+        "identifiability": None if seen is None else seen.to_json(),
+    }
+    motion, sea = estimate.motion, twin.sea
+    if motion is not None:
+        content["motion"] = dict(zip(CHANNELS, motion.mean.tolist(), strict=True))
+        content["motion_sd"] = dict(zip(CHANNELS, motion.sd.tolist(), strict=True))
+        known = sea is not None and sea.known
+        names = ("hs_m", "period_s", "to_rad", "to_sd_rad")
+        content["sea"] = dict(zip(names, sea, strict=True)) if sea is not None and known else None
+    return content

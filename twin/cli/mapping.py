@@ -1,0 +1,82 @@
+"""``usv-twin mapping``: propose a mapping file for a log of other columns."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.cli.common import OptionError, console, note, write_text
+from twin.logs.dates import MEANINGS, ORDERS
+from twin.logs.log import sibling_path
+from twin.logs.mapping import Layout
+from twin.logs.proposal.propose import Proposal, propose
+
+ZONE = r"[+-](0\d|1[0-4]):[0-5]\d"
+"""How far a clock is ahead of UTC."""
+
+
+def mapping_command(
+    log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz or Parquet.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File to write. [<log>.mapping.toml beside the log]"),
+    ] = None,
+    dates: Annotated[
+        str, typer.Option(help=f"Order of dates that leave it open: {' or '.join(ORDERS)}.")
+    ] = "",
+    zone: Annotated[
+        str, typer.Option(help="How far a clock of an ambiguous zone is ahead of UTC, as -05:00.")
+    ] = "",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
+) -> None:
+    """Propose a mapping file from the names and values of a log's columns.
+
+    Latitude and longitude, knots, degrees, rpm, pulse widths, dates of any format and zone. The
+    values tell units that the names do not. Check every line before use.
+    """
+    if dates and dates not in ORDERS:
+        raise OptionError(f"--dates {dates}: use {' or '.join(ORDERS)}")
+    if zone and not re.fullmatch(ZONE, zone):
+        raise OptionError(f"--zone {zone}: write hours and minutes, such as -05:00 or +09:30")
+    path = out or sibling_path(log, ".mapping.toml")
+    if path.exists() and not force:
+        raise OptionError(f"{path}: is there already; choose another --out, or --force")
+    found = propose(log, dates, zone)
+    if found.choices:
+        dates = _ask(found, "first?", "--dates", tuple(ORDERS))
+        found = propose(log, dates, zone)
+    if found.zone:
+        zone = _ask(
+            found, "of UTC?", "--zone", MEANINGS.get(found.zone, ("-05:00", "+09:30")), ZONE
+        )
+        found = propose(log, dates, zone)
+    write_text(path, found.text(log.name))
+    Layout.load(path)  # what is written can be read
+    console.print(path.read_text(encoding="utf-8"), highlight=False, soft_wrap=True, end="")
+    for question in found.questions:
+        note(f"please check: {question}")
+    for name in found.missing:
+        note(f"{name}: no column seems to hold it; complete the mapping")
+    console.print(f"mapping: {path}; try it with usv-twin check {log}", soft_wrap=True)
+
+
+def _is_interactive() -> bool:
+    """Return whether somebody can answer."""
+    return sys.stdin.isatty()
+
+
+def _ask(
+    found: Proposal, end: str, option: str, examples: tuple[str, ...], pattern: str = ""
+) -> str:
+    """Return the user's answer to the question that ends so."""
+    question = next(text for text in found.questions if text.endswith(end))
+    if not _is_interactive():
+        raise OptionError(f"{question} Say so with {option} {f' or {option} '.join(examples)}")
+    answer = ""
+    while not re.fullmatch(pattern or "|".join(examples), answer):
+        answer = typer.prompt(f"{question} ({' or '.join(examples)})").strip()
+    return answer

@@ -1,0 +1,248 @@
+"""The picture of ``usv-twin check``: what is in a log, and what a twin of it is worth."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import math
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.benchmark.figures.style import (
+    BLACK,
+    DASHED,
+    Array,
+    Entry,
+    line,
+    new_figure,
+    set_ticks,
+    set_title,
+)
+from twin.benchmark.trust import FAR_SD, HORIZON_S, Verdict
+from twin.integrity.findings import SEVERITIES
+from twin.integrity.log_check import LogCheck
+from twin.integrity.rows import SENSORS, speed_of
+from twin.logs.recording import Recording
+from twin.logs.signals import ENOUGH, integrated, sampled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+
+DRAWN_MAX = 1e7
+"""Larger values are not drawn."""
+
+POINTS_MAX = 4000
+"""Points of a curve at most."""
+
+PATHS_MAX, BARS_MAX = 40, 12
+"""Forecasts in the track, and parameters, at most."""
+
+
+def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
+    """Return the picture of a checked log as PNG.
+
+    Parameters
+    ----------
+    check : LogCheck
+        Of a log of two rows or more.
+    verdict : Verdict, optional
+        On a twin of that log: four panels more.
+    """
+    recording = _drawable(check.recording)
+    counts = {severity: check.count(severity) for severity in SEVERITIES}
+    about = ", ".join(f"{n} {severity}(s)" for severity, n in counts.items() if n)
+    about = about or "nothing found"
+    entries: list[Entry] = [
+        (line(BLUE), "fixes; left unit"),
+        (line(ORANGE), "compass, velocity; right unit"),
+        (line(GREEN), "gyro; steering angle"),
+    ]
+    mosaic = [["track", "samples"], ["track", "speed"], ["agreed", "turn"], ["commands", "heading"]]
+    size = (11.0, 9.0)
+    if verdict is not None:
+        about = f"{about}; {verdict.predictor}: {verdict.grade} (" + ", ".join(
+            f"{answer.about} {answer.grade}" for answer in verdict.answers
+        )
+        about += ")"
+        entries += [(line(BLACK), "forecasts of the twin"), (line(ORANGE, DASHED), "persistence")]
+        mosaic += [["distance", "losses"], ["turned", "parameters"]]
+        size = (11.0, 13.0)
+    fig, axes = new_figure(f"{recording.name}: check", about, entries, mosaic, size)
+    _track(axes["track"], recording, verdict)
+    _samples(axes["samples"], recording)
+    _speed(axes["speed"], recording)
+    _turn(axes["turn"], recording)
+    _heading(axes["heading"], recording)
+    _agreed(axes["agreed"], check.agreed)
+    _commands(axes["commands"], recording)
+    if verdict is not None:
+        _errors(axes["distance"], verdict, 0, 1.0, "distance off, m")
+        _errors(axes["turned"], verdict, 1, 180.0 / math.pi, "heading off, degrees")
+        _losses(axes["losses"], verdict)
+        _parameters(axes["parameters"], verdict)
+    over_time = {"samples", "speed", "turn", "heading", "commands", "distance", "turned"}
+    for name in over_time & set(axes):
+        axes[name].set_xlim(float(recording.t[0]), float(recording.t[-1]))
+    buffer = io.BytesIO()
+    fig.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def _drawable(recording: Recording) -> Recording:
+    """Return a recording without the numbers that no picture can hold."""
+    z, cmd = (np.where(np.abs(v) < DRAWN_MAX, v, np.nan) for v in (recording.z, recording.cmd))
+    return dataclasses.replace(recording, z=z, cmd=cmd)
+
+
+def _thin(*columns: Array) -> list[Array]:
+    """Return every so-many-th value of columns, so that there are few."""
+    step = max(len(columns[0]) // POINTS_MAX, 1)
+    return [column[::step] for column in columns]
+
+
+def _track(ax: Axes, recording: Recording, verdict: Verdict | None) -> None:
+    set_title(ax, "track, m, coloured by speed, m/s")
+    t, fix = recording.samples("gps_x_m", "gps_y_m")
+    motion = speed_of(recording)
+    if motion is None or len(t) < ENOUGH:
+        return
+    x, y, at = _thin(fix[:, 0], fix[:, 1], t)
+    speed = np.interp(at, motion[0], np.nan_to_num(np.hypot(*motion[1].T)))
+    drawn = ax.scatter(y, x, c=speed, s=4, cmap="viridis", lw=0)
+    ax.plot(y[:1], x[:1], marker="o", ms=8, mfc="none", mec=BLACK, ls="")
+    if verdict is not None:
+        every = max(len(verdict.forecasts) // PATHS_MAX, 1)
+        for forecast in verdict.forecasts[::every]:
+            ax.plot(forecast.path[:, 1], forecast.path[:, 0], color=BLACK, lw=1.0)
+    bar = ax.figure.colorbar(drawn, ax=ax, shrink=0.6, pad=0.02)
+    bar.ax.tick_params(labelsize=9, length=0)
+    ax.set_aspect("equal", adjustable="datalim")
+    set_ticks(ax, 5, 6, "east")
+    ax.set_ylabel("north", fontsize=10)
+
+
+def _samples(ax: Axes, recording: Recording) -> None:
+    """Draw when each sensor has new samples; a gap is a white place."""
+    set_title(ax, "new samples of each sensor")
+    names = [name for name, columns in SENSORS.items() if len(recording.samples(*columns)[0])]
+    for row, name in enumerate(names):
+        at = recording.samples(*SENSORS[name])[0]
+        step = 4.0 * float(np.median(np.diff(at))) if len(at) > 1 else 1.0
+        breaks = np.flatnonzero(np.diff(at) > step)
+        start, end = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
+        spans = list(zip(start.tolist(), np.maximum(end - start, 0.05).tolist(), strict=True))
+        ax.broken_barh(spans, (row - 0.35, 0.7), color=BLUE, lw=0)
+    set_ticks(ax, 6, 6, None)
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+
+
+def _speed(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "speed over ground, m/s")
+    t, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    if len(t):
+        at, speed = _thin(t, np.hypot(*velocity.T))
+        ax.plot(at, speed, color=ORANGE, lw=1.0)
+    motion = speed_of(recording)
+    if motion is not None:
+        ax.plot(motion[0], np.hypot(*motion[1].T), color=BLUE, lw=1.6)
+    set_ticks(ax, 6, 4, None)
+
+
+def _turn(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "yaw rate of compass and gyro, deg/s")
+    t, compass = recording.samples("compass_rad")
+    t_gyro, gyro = recording.samples("gyro_radps")
+    grid = np.linspace(recording.t[0], recording.t[-1], min(POINTS_MAX, len(recording.t)))
+    turned = integrated(t_gyro, gyro[:, 0]) if len(t_gyro) > 1 else gyro[:, 0]
+    for at, angle, colour, style in (
+        (t, np.unwrap(compass[:, 0]), ORANGE, "-"),
+        (t_gyro, turned, GREEN, DASHED),
+    ):
+        if len(at) >= ENOUGH:
+            rate = sampled(at, angle, grid + 0.5) - sampled(at, angle, grid - 0.5)
+            ax.plot(grid, np.degrees(rate), color=colour, ls=style, lw=1.0)
+    set_ticks(ax, 6, 4, None)
+
+
+def _heading(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "course of the fixes and compass, deg")
+    t, compass = recording.samples("compass_rad")
+    at, psi = _thin(t, np.degrees(np.remainder(compass[:, 0], 2.0 * math.pi)))
+    ax.plot(at, psi, color=ORANGE, ls="", marker=".", ms=2)
+    motion = speed_of(recording)
+    if motion is not None:
+        course = np.degrees(np.arctan2(motion[1][:, 1], motion[1][:, 0])) % 360.0
+        ax.plot(motion[0], course, color=BLUE, ls="", marker=".", ms=3)
+    ax.set_ylim(0.0, 360.0)
+    set_ticks(ax, 6, 4, "time, s")
+
+
+def _agreed(ax: Axes, agreed: dict[str, float]) -> None:
+    """Draw how well sensors and commands agree."""
+    if not agreed:
+        ax.set_axis_off()
+        return
+    set_title(ax, "share of two signals that agrees, %")
+    names = list(agreed)
+    ax.barh(names, [100.0 * agreed[name] for name in names], color=BLUE, height=0.6)
+    ax.set_xlim(0.0, 100.0)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(labelsize=8, length=0)
+
+
+def _commands(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "commands: shaft speeds, rev/s; angle, deg")
+    for j, colour in ((0, BLUE), (1, ORANGE)):
+        at, value = _thin(recording.t, recording.cmd[:, j])
+        ax.plot(at, value, color=colour, lw=1.0)
+    if np.nan_to_num(recording.cmd[:, 2:]).any():
+        at, value = _thin(recording.t, np.degrees(recording.cmd[:, 2]))
+        ax.plot(at, value, color=GREEN, lw=1.0)
+    set_ticks(ax, 6, 4, "time, s")
+
+
+def _errors(ax: Axes, verdict: Verdict, k: int, scale: float, title: str) -> None:
+    """Draw the errors of twin and persistence over the time at which they were made."""
+    set_title(ax, f"{title}, {HORIZON_S:g} s ahead")
+    t = [forecast.t for forecast in verdict.forecasts]
+    held = [scale * f.persistence[k] for f in verdict.forecasts]
+    ax.plot(t, held, color=ORANGE, lw=1.0, ls=DASHED)
+    ax.plot(t, [scale * f.error[k] for f in verdict.forecasts], color=BLACK, lw=1.4)
+    set_ticks(ax, 6, 4, "time, s")
+    ax.set_ylim(bottom=0.0)
+
+
+def _losses(ax: Axes, verdict: Verdict) -> None:
+    """Draw the error of each loss of GPS, and the bound."""
+    set_title(ax, "position off without GPS, m; a line is one loss")
+    for loss in verdict.losses:
+        ax.plot(loss.after, loss.error, color=BLACK, lw=1.0)
+    ax.axhline(verdict.bound, color=ORANGE, lw=1.0, ls=DASHED)
+    ax.set_ylim(0.0, 3.0 * verdict.bound)
+    set_ticks(ax, 6, 4, "time without GPS, s")
+
+
+def _parameters(ax: Axes, verdict: Verdict) -> None:
+    """Draw the parameters that went furthest from the prior."""
+    prior = verdict.in_use if verdict.in_use and verdict.in_use.is_prior else None
+    set_title(ax, "best refit, not in use" if prior else "parameters farthest from prior")
+    empty = "" if verdict.deviations else "the predictor has no parameters"
+    if prior and prior.refit is None:
+        empty = f"in use: {prior.name}"
+    if empty:
+        ax.text(0.5, 0.5, fill(empty, 28), ha="center", va="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return
+    shown = dict(verdict.deviations[:BARS_MAX])
+    sizes = [min(size, 4.0 * FAR_SD) for size in shown.values()]
+    colours = [ORANGE if size > FAR_SD else BLUE for size in sizes]
+    ax.barh(range(len(shown)), sizes, color=colours)
+    ax.axvline(FAR_SD, color=BLACK, lw=1.0, ls=DASHED)
+    set_ticks(ax, 5, len(shown), "prior standard deviations")
+    ax.set_yticks(range(len(shown)), list(shown))
+    ax.set_ylim(len(shown) - 0.4, -0.6)

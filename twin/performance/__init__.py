@@ -1,4 +1,0 @@
-"""Measurements of speed, for ``usv-twin bench``.
-
-May import twin.sim and below.
-"""
