@@ -209,12 +209,12 @@ def _write_restart(memory, has_gps, given):
     restart.position = 1.0 if used or reckons else 0.0
     restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
     restart.surge = 0.0
-    if not has_gps and k == NO_ACCELEROMETERS and memory.drives.steps > WARM_UP_STEPS:
+    drives = memory.drives
+    surge = drives.surges[int(drives.hypothesis)]
+    known = drives.steps > WARM_UP_STEPS and abs(surge) <= drives.fastest
+    if not has_gps and k == NO_ACCELEROMETERS and known:
         restart.surge = 1.0
-        state[3], state[4] = (
-            memory.drives.surges[int(memory.drives.hypothesis)] * given.drives.speed,
-            0.0,
-        )
+        state[3], state[4] = surge * given.drives.speed, 0.0
         for i in range(3, 5):
             for j in range(6):
                 cov[i, j] = cov[j, i] = 0.0
