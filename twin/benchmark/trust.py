@@ -762,7 +762,9 @@ def sensor_answer(
             grades.append(DOUBTFUL)
         parts.append(f"{sensor} {status} for {seconds:.0f} s, {share:.0%} of the run")
     numbers = {
-        "findings": {f.code: f.severity for f in findings if f.severity in (ERROR, WARNING)},
+        "findings": {
+            f"{f.code} {f.sensor}": f.severity for f in findings if f.severity in (ERROR, WARNING)
+        },
         "health_s": {" ".join(key): seconds for key, seconds in seconds_in.items()},
     }
     return Answer("sensors", _worst(grades), "; ".join(parts) or "none in doubt", numbers)

@@ -145,7 +145,10 @@ FORCE_S = 4.0
 """Window over which accelerometers are held against the commands: longer than waves."""
 
 FORCE_TIME_S = 60.0
-"""Time constant with which offsets and variances of what they differ by are learned."""
+"""Time constant with which offsets and variances of what they differ by are learned ..."""
+
+FORCE_LEARNED_S = 30.0
+"""... and for how long they must have been before they mean anything."""
 
 LEVEL_MIN = 1.0
 """Least level of the mean of the forces: waves average out sooner than independent errors."""
@@ -189,6 +192,7 @@ DRIVES = np.dtype(
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
         ("offset", "f8", 2),  # what the forces are more than the commands make in a step
         ("force_var", "f8", 2),  # variance of that
+        ("learned", "f8"),  # time over which these were learned, s
         ("mean", "f8", 2),  # mean of it whitened over FORCE_S
         ("weight", "f8"),  # sum of the squared weights of this mean
         ("level", "f8", 2),  # its variance over that of independent steps
@@ -442,7 +446,10 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
     row = drives.row[h, SURGE]
     row[0], row[1] = surge, surge * abs(surge)
     drives.seen += span
-    alpha, share = min(max(span / FORCE_S, span / drives.seen), 1.0), span / FORCE_TIME_S
+    alpha = min(max(span / FORCE_S, span / drives.seen), 1.0)
+    if has_gps:
+        drives.learned += span
+    share = span / min(max(drives.learned, span), FORCE_TIME_S)
     drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
     drives.force_ratio = 0.0
     for axis in range(2):
@@ -458,7 +465,7 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
         square = drives.mean[axis] * drives.mean[axis] / drives.weight
         if has_gps:
             drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
-        else:
+        elif drives.learned >= FORCE_LEARNED_S:
             square /= max(drives.level[axis], LEVEL_MIN) * THRESHOLD
             drives.force_ratio = max(drives.force_ratio, square)
 

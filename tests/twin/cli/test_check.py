@@ -23,9 +23,13 @@ def faulty(folder, tmp_path):
 
 
 def codes(path, severity):
-    """Return the codes of findings in a file of --json."""
+    """Return codes and sensors of findings in a file of --json."""
     found = json.loads(path.read_text())["findings"]
-    return {finding["code"] for finding in found if finding["severity"] == severity}
+    return {
+        f"{finding['code']} {finding['sensor']}"
+        for finding in found
+        if finding["severity"] == severity
+    }
 
 
 def test_a_sound_log_has_no_error_and_a_twin_that_may_be_trusted(folder, tmp_path):
@@ -55,7 +59,7 @@ def test_without_a_twin_the_log_alone_is_checked(folder, tmp_path):
 def test_faults_are_named_and_particulars_are_begun(faulty, tmp_path):
     files = ("--no-picture", "--json", tmp_path / "a.json", "--write", tmp_path / "boat.toml")
     out = run("check", faulty, *files, check=1).stdout
-    assert codes(tmp_path / "a.json", "error") == {"speed-unit", "gyro-sign", "angle-degrees"}
+    assert codes(tmp_path / "a.json", "error") == {"unit velocity", "sign gyro", "unit steering"}
     assert "--ship" in out  # what the second part needs
     assert "# length = ?" in (tmp_path / "boat.toml").read_text()
     assert "--force" in run("check", faulty, *files, check=2).stderr
@@ -76,7 +80,7 @@ def test_a_twin_of_a_faulty_log_is_bad(folder, tmp_path):
     run("check", tmp_path / "bad.csv", "-p", "ukf", "--no-picture", "--json", kept, check=1)
     verdict = json.loads(kept.read_text())["verdict"]
     assert verdict["grade"] == "bad"
-    assert verdict["answers"][-1]["numbers"]["findings"] == {"gyro-sign": "error"} | {
+    assert verdict["answers"][-1]["numbers"]["findings"] == {"sign gyro": "error"} | {
         code: "warning" for code in codes(kept, "warning")
     }
 

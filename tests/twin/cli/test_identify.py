@@ -44,7 +44,7 @@ def test_priors_are_not_made_of_faulty_runs(folder, tmp_path):
     log.write(bad)
     (tmp_path / "bad.toml").write_text((folder / "run.toml").read_text())
     found = run("identify", bad, "--save-prior", kept, check=2)
-    assert "the gyro turns against the compass" in found.stdout
+    assert "gyro" in found.stdout
     assert "--with-faulty" in found.stderr and not kept.exists()
     found = run("identify", folder / "run.csv", bad, "--save-prior", kept)
     assert "bad.csv: left out of the prior" in found.stdout + found.stderr

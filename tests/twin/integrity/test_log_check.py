@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twin.cli.logs.check_picture import draw_check
 
 from tests.twin.integrity.damaged import (
     FAULTS,
@@ -29,9 +28,10 @@ from tests.twin.integrity.damaged import (
     without,
 )
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.cli.pictures import draw_check
 from twin.integrity.findings import CODES, NOTE, WARNING, Finding
 from twin.integrity.log_check import LogCheck, check_log, check_recording
-from twin.logs.datasets import ship
+from twin.logs.datasets import known_ship
 from twin.logs.log import Log, read_table, recorded_runs, sibling_path
 from twin.logs.recording import Recording
 from twin.particulars import Instruments, Particulars, ParticularsError
@@ -254,7 +254,7 @@ def checked(folder: str, run: str, change: Callable[[dict[str, np.ndarray]], Non
         pytest.skip(f"{path} is absent: recorded runs are not part of the project")
     table = read_table(path)
     change(table.data)
-    boat = Particulars.load(DATA / folder / BOATS[folder]) if folder in BOATS else ship(path)
+    boat = Particulars.load(DATA / folder / BOATS[folder]) if folder in BOATS else known_ship(path)
     return check_recording(Recording.of(table.data, table.given, run, table.plane), boat)
 
 
