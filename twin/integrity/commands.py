@@ -449,7 +449,7 @@ def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
     alpha = min(max(span / FORCE_S, span / drives.seen), 1.0)
     if has_gps:
         drives.learned += span
-    share = span / min(max(drives.learned, span), FORCE_TIME_S)
+    share = span / FORCE_TIME_S
     drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
     drives.force_ratio = 0.0
     for axis in range(2):
