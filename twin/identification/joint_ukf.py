@@ -24,7 +24,7 @@ from twin.model.actuators import follow_all
 from twin.model.augmented import JointState, joint_predict
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size, upsample
-from twin.model.structure import CURRENT, N_STATES, N_TERMS
+from twin.model.structure import N_STATES, N_TERMS
 from twin.particulars import Particulars
 from usv_kernel.arrays import flat_size, named_dtype, python_views, shaped, take
 from usv_kernel.jit import inlined, kernel
@@ -53,7 +53,6 @@ __all__ = [
     "plausible_speed",
     "scale_plan",
     "shrink_to_prior",
-    "write_current",
 ]
 
 Array = NDArray[Any]
@@ -248,20 +247,6 @@ def advance(dt, cmd, state, config, work):
         follow_all(state.act, cmd, config.lags, config.n_unit, 0.5 * h)
         joint_predict(state, h, config, work)
         follow_all(state.act, cmd, config.lags, config.n_unit, 0.5 * h)
-
-
-@inlined
-def write_current(state, model, out):
-    """Write the velocity of the water to north and east, and its standard deviation, m/s.
-
-    Nothing is written where the model has no current.
-    """
-    at = int(model.hull[CURRENT])
-    if at < 0:
-        return
-    at += N_STATES
-    out[0], out[1] = state.x[at], state.x[at + 1]
-    out[2] = math.sqrt(max(state.P[at, at], state.P[at + 1, at + 1]))
 
 
 @inlined
