@@ -129,7 +129,7 @@ class Twin:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.motion = DeckMotion(particulars)
         self.monitor = SensorMonitor(particulars)
-        self.health_history = HealthHistory(self.monitor, self._troubles)
+        self.health_history = HealthHistory(self.monitor, self._noted_others)
         self.begun = math.nan
         self.datum: Datum | None = None
         self.t = self._lost_at = self._noted = math.nan
@@ -347,25 +347,26 @@ class Twin:
         named only while they are in trouble. A GPS that is drawn away looks like a current. Where
         that is too large, or changes too fast, the GPS is doubtful.
         """
-        found = self.monitor.statuses(self.begun)
+        return self.monitor.statuses(self.begun) | self._others(self.motion.troubles())
+
+    def _noted_others(self) -> dict[str, SensorStatus]:
+        """Return the status of what is no sensor of the checks, for the notes."""
+        return self._others(self.motion.lasting_troubles())
+
+    def _others(self, channels: dict[str, tuple[str, float, str]]) -> dict[str, SensorStatus]:
+        """Return the status of the navigation filter, and those of what else is in trouble.
+
+        ``channels`` are those of roll, pitch and heave: status, age (s), why.
+        """
         again = self._lost_at + LOST_SHOWN  # NaN: it never began again
-        found["navigation"] = SensorStatus("ok", self.begun if math.isnan(again) else again, "")
-        for name, (status, age, why) in (self.motion.troubles() | self._own_troubles()).items():
-            found[name] = SensorStatus(status, self.t - age, why)
-        return found
-
-    def _troubles(self) -> dict[str, tuple[str, float, str]]:
-        """Return what is in trouble beside the sensors, for the notes: status, age (s), why."""
-        return self.motion.lasting_troubles() | self._own_troubles()
-
-    def _own_troubles(self) -> dict[str, tuple[str, float, str]]:
-        """Return the troubles of anemometer and navigation filter."""
-        found = {}
+        found = {"navigation": SensorStatus("doubtful", self._lost_at, LOST)}
+        if not self.t < again:
+            since = self.begun if math.isnan(again) else again
+            found["navigation"] = SensorStatus("ok", since, "")
         if self.monitor.doubts_wind:
-            wind = self.monitor.wind_status(self.begun)
-            found["wind"] = wind.status, self.t - wind.since, wind.why
-        if self.t - self._lost_at < LOST_SHOWN:
-            found["navigation"] = "doubtful", self.t - self._lost_at, LOST
+            found["wind"] = self.monitor.wind_status(self.begun)
+        for name, (status, age, why) in channels.items():
+            found[name] = SensorStatus(status, self.t - age, why)
         return found
 
     @property

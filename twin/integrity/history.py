@@ -33,17 +33,17 @@ class HealthHistory:
     ----------
     monitor : SensorMonitor
         The checks, which others advance.
-    troubles : callable, optional
-        Returns the names of the channels of roll, pitch and heave that are silent or in doubt now,
-        each with its status, since how long (s), and the reason.
+    others : callable, optional
+        Returns the status of what is no sensor of the checks: the navigation, and those channels
+        of roll, pitch, heave and wind that are silent or in doubt now.
     """
 
     def __init__(
         self,
         monitor: SensorMonitor,
-        troubles: Callable[[], dict[str, tuple[str, float, str]]] | None = None,
+        others: Callable[[], dict[str, SensorStatus]] = dict,
     ) -> None:
-        self._monitor, self._troubles = monitor, troubles
+        self._monitor, self._others = monitor, others
         self.reset()
 
     def reset(self) -> None:
@@ -53,16 +53,13 @@ class HealthHistory:
 
     def take(self, t: float, begin: float) -> None:
         """Note what changed in the row of time t; the first row was at ``begin``, s."""
-        troubles = self._troubles() if self._troubles is not None else {}
+        others = self._others()
         # bytes: this runs in every row
-        names = tuple((name, trouble[0]) for name, trouble in troubles.items())
+        names = tuple((name, other.status) for name, other in others.items())
         status = self._monitor.memory[_STATUS].tobytes(), names
         if status != self._last:
             self._last = status
-            found = self._monitor.statuses(begin)
-            for name, (status_now, age, why) in troubles.items():
-                found[name] = SensorStatus(status_now, t - age, why)
-            self._changes.append(_Change(t, found))
+            self._changes.append(_Change(t, self._monitor.statuses(begin) | others))
             del self._changes[:-KEPT]
 
     def at(self, t: float) -> dict[str, SensorStatus]:

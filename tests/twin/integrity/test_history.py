@@ -9,7 +9,7 @@ import pytest
 
 from twin import Log, Twin
 from twin.integrity.history import KEPT, HealthHistory
-from twin.integrity.monitor import SensorMonitor
+from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.integrity.state import ABSENT, CONTRADICTS, EXCLUDED, OK, SENSORS
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, Vessel
@@ -49,7 +49,7 @@ def test_channel_that_goes_from_one_trouble_to_another_leaves_two_lines():
     history = HealthHistory(SensorMonitor(PARTICULARS), lambda: troubles)
     for t in range(10):
         status = "excluded" if t < 6 else "absent"
-        troubles = {"wind": (status, 0.0, f"wind is {status}")} if t > 2 else {}
+        troubles = {"wind": SensorStatus(status, t, f"wind is {status}")} if t > 2 else {}
         history.take(float(t), 0.0)
     assert [line.split(" from")[0] for line in history.lines()] == ["wind excluded", "wind absent"]
 
