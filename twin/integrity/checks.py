@@ -210,11 +210,10 @@ def _write_restart(memory, has_gps, given):
     restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
     restart.surge = 0.0
     drives = memory.drives
-    surge = drives.surges[int(drives.hypothesis)]
-    known = drives.steps > WARM_UP_STEPS and abs(surge) <= drives.fastest
-    if not has_gps and k == NO_ACCELEROMETERS and known:
+    if not has_gps and k == NO_ACCELEROMETERS and drives.steps > WARM_UP_STEPS:
         restart.surge = 1.0
-        state[3], state[4] = surge * given.drives.speed, 0.0
+        surge = drives.surges[int(drives.hypothesis)] * given.drives.speed
+        state[3], state[4] = min(max(surge, -bank.fastest), bank.fastest), 0.0
         for i in range(3, 5):
             for j in range(6):
                 cov[i, j] = cov[j, i] = 0.0

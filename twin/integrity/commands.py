@@ -180,7 +180,6 @@ DRIVES = np.dtype(
         ("known", "f8"),  # how long the motion has been known, s
         ("steps", "f8"),  # steps weighed
         ("evidence", "f8", HYPOTHESES),
-        ("fastest", "f8"),  # largest surge that was learned from, nominal speeds
         ("hypothesis", "f8"),  # the one in force
         ("since", "f8"),  # clock at which it came into force, s
         ("impossible", "f8"),  # time for which commands are still left out, s
@@ -527,7 +526,7 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
-        if doubted or abs(own) > drives.fastest:  # there what was learned would extrapolate
+        if doubted:
             drives.seen = drives.force_ratio = drives.weight = 0.0
             drives.mean[0] = drives.mean[1] = 0.0
         elif measured:
@@ -538,7 +537,6 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
         drives.mean[0] = drives.mean[1] = 0.0
     if has_gps and not doubted:
         _follow(drives, yaw, surge, sway, span, trained)
-        drives.fastest = max(drives.fastest, abs(surge))
     return not suspected and drives.hypothesis == SOUND
 
 
