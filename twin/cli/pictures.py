@@ -187,7 +187,7 @@ def _agreed(ax: Axes, agreed: dict[str, float]) -> None:
     if not agreed:
         ax.set_axis_off()
         return
-    set_title(ax, "share of two signals that agrees, %")
+    set_title(ax, "signals agree, %, without the faults found")
     names = list(agreed)
     ax.barh(names, [100.0 * agreed[name] for name in names], color=BLUE, height=0.6)
     ax.set_xlim(0.0, 100.0)
