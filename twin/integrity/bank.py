@@ -144,10 +144,7 @@ FILTER = np.dtype(
         ("uses_gyro", "f8"),  # 1 where the gyro drives it, else 0
         ("uses_accelerometers", "f8"),  # 1 where the accelerometers do
         ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
-        ("weight", "f8", (AIDS, WINDOWS)),  # sums of the squared weights
         ("seen", "f8", AIDS),  # time that the windows have seen, s
-        # variance of these means over that of white innovations, learned while all is sound
-        ("level", "f8", (AIDS, WINDOWS)),
         ("square", "f8", AIDS),  # mean of their squares over the shortest window
         ("misfit", "f8", AIDS),  # leaky sums of -2 log-likelihood of the samples, with MISFIT_S
         ("ratio", "f8"),  # largest statistic over its threshold; below 1 the filter passes
@@ -170,6 +167,8 @@ BANK = np.dtype(
         ("age_sum", "f8", AIDS),  # of the ages at the end of the epoch, s
         ("age", "f8", AIDS),  # time since the last sample, s
         ("interval", "f8", AIDS),  # typical time between samples, s
+        # variance of mean innovations over that of white ones, learned while all is sound
+        ("level", "f8", (AIDS, WINDOWS)),
         ("imu_age", "f8", 2),  # of gyro, accelerometers, s
         ("row", "f8"),  # typical time between rows, s
         ("rate", "f8"),  # last yaw rate of the gyro, rad/s
@@ -398,14 +397,14 @@ def _correct(one, gain, innovation, S):
 
 
 @kernel
-def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
+def _take(one, aid, z, age, variance, span, level, rate, north, east, given, gain):
     """Test and correct a filter by the samples of an aid that it uses."""
     numbers = 1 if aid == COMPASS else 2
     w0 = w1 = logarithm = 0.0
     for k in range(numbers):
         acceleration = north if k == 0 else east
         nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
-        S = (spread + variance) * one.level[aid, 0]
+        S = (spread + variance) * level
         logarithm += math.log(S / variance)
         if k == 0:
             w0 = nu / math.sqrt(S)
@@ -419,7 +418,6 @@ def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
         alpha = min(max(span / WINDOWS_S[i], span / one.seen[aid]), 1.0)
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
-        one.weight[aid, i] += alpha * (alpha - (2.0 - alpha) * one.weight[aid, i])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
     alpha = min(max(span / WINDOWS_S[0], span / one.seen[aid]), 1.0)
     one.square[aid] += alpha * (clipped / numbers - one.square[aid])
@@ -432,19 +430,26 @@ def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
 
 
 @inlined
-def _learn_level(one, aid, span, clock):
-    """Learn how much more the means vary than those of white innovations would."""
-    numbers = 1.0 if aid == COMPASS else 2.0
-    for i in range(WINDOWS):
-        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
-        square = (m0 * m0 + m1 * m1) / one.weight[aid, i] / numbers * one.level[aid, 0]
-        share = min(span / min(max(clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
-        level = one.level[aid, i] + share * (square - one.level[aid, i])
-        one.level[aid, i] = min(max(level, 1.0), LEVEL_MAX)
+def _samples(one, aid, window, bank):
+    """Return how many white innovations a mean over a window is worth."""
+    span = max(bank.interval[aid], EPOCH_S)
+    return max(min(one.seen[aid] / span, 2.0 * WINDOWS_S[window] / span - 1.0), 1.0)
 
 
 @inlined
-def aid_ratio(one, aid):
+def _learn_level(one, aid, span, bank):
+    """Learn how much more the means vary than those of white innovations would."""
+    numbers, level = 1.0 if aid == COMPASS else 2.0, bank.level
+    share = min(span / min(max(bank.clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
+    first = level[aid, 0]
+    for i in range(WINDOWS):
+        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
+        square = (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / numbers * first
+        level[aid, i] = min(max(level[aid, i] + share * (square - level[aid, i]), 1.0), LEVEL_MAX)
+
+
+@inlined
+def aid_ratio(one, aid, bank):
     """Return the largest statistic of an aid over its threshold."""
     if one.seen[aid] == 0.0:
         return 0.0
@@ -452,10 +457,11 @@ def aid_ratio(one, aid):
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
         # the first level is that of the innovations themselves
-        level = one.level[aid, i] / one.level[aid, 0] if i > 0 else 1.0
-        most = max(most, (m0 * m0 + m1 * m1) / (one.weight[aid, i] * level))
+        level = bank.level[aid, i] / bank.level[aid, 0]
+        most = max(most, (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / level)
     # the mean square over the shortest window, by Wilson and Hilferty's cube root
-    share = 2.0 / (9.0 * (1.0 if aid == COMPASS else 2.0) / one.weight[aid, 0])
+    numbers = 1.0 if aid == COMPASS else 2.0
+    share = 2.0 / (9.0 * numbers * _samples(one, aid, 0, bank))
     z = (one.square[aid] ** (1.0 / 3.0) - 1.0 + share) / math.sqrt(share)
     if z > 0.0:
         most = max(most, z * z)
@@ -463,12 +469,12 @@ def aid_ratio(one, aid):
 
 
 @kernel
-def test_ratio(one, k, age):
+def test_ratio(k, bank):
     """Return the largest statistic of filter k over its threshold."""
     most = 0.0
     for aid in range(AIDS):
-        if LEFT_OUT[k, aid] == 0.0 and age[aid] <= SILENT_S:
-            most = max(most, aid_ratio(one, aid))
+        if LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S:
+            most = max(most, aid_ratio(bank.filters[k], aid, bank))
     return most
 
 
@@ -476,7 +482,6 @@ def test_ratio(one, k, age):
 def forget_tests(one):
     """Begin the tests of a filter anew."""
     one.mean[:] = 0.0
-    one.weight[:] = 0.0
     one.seen[:] = 0.0
     one.square[:] = 0.0
     one.ratio = 0.0
@@ -615,10 +620,11 @@ def _advance_filter(k, bank, given, sound, gain):
         elif aid == VELOCITY:
             variance = given.velocity_var / n + 0.5 * late * (north * north + east * east)
         span, age = max(bank.interval[aid], T), bank.age_sum[aid]
-        _take(one, aid, bank.sum, age, variance, span, rate, north, east, given, gain)
-        if sound:
-            _learn_level(one, aid, span, bank.clock)
-    one.ratio = test_ratio(one, k, bank.age)
+        level = bank.level[aid, 0]
+        _take(one, aid, bank.sum, age, variance, span, level, rate, north, east, given, gain)
+        if sound and k == 0:
+            _learn_level(one, aid, span, bank)
+    one.ratio = test_ratio(k, bank)
 
 
 @inlined

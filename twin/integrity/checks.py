@@ -280,7 +280,7 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     if memory.decision.in_doubt > 0.0:
         # what fails is not used until it is known what is wrong
         for aid in range(AIDS):
-            if aid_ratio(bank.filters[force], aid) >= 1.0:
+            if aid_ratio(bank.filters[force], aid, bank) >= 1.0:
                 memory.contradicted = 1.0
                 for j in range(PARTS[aid, 0], PARTS[aid, 1]):
                     out[j] = math.nan

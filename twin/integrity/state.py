@@ -154,7 +154,7 @@ def initial_integrity(particulars: Particulars) -> Array:
     bank = record["bank"]
     for name in ("start", "rate", "epoch_rate", "epoch_force"):
         bank[name] = math.nan
-    bank["filters"]["level"] = LEVEL_START
+    bank["level"] = LEVEL_START
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
     record["last"] = math.nan
     record["decision"]["failing_since"] = -1.0
