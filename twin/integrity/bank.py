@@ -84,7 +84,7 @@ PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
 EPOCH_S = 0.2
 """Samples within this time are taken together."""
 
-WINDOWS_S = np.array([0.6, 4.0, 20.0])
+WINDOWS_S = np.array([1.0, 12.0])
 """Windows of the test."""
 
 WINDOWS = len(WINDOWS_S)
@@ -145,7 +145,6 @@ FILTER = np.dtype(
         ("uses_accelerometers", "f8"),  # 1 where the accelerometers do
         ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
         ("seen", "f8", AIDS),  # time that the windows have seen, s
-        ("square", "f8", AIDS),  # mean of their squares over the shortest window
         ("misfit", "f8", AIDS),  # leaky sums of -2 log-likelihood of the samples, with MISFIT_S
         ("ratio", "f8"),  # largest statistic over its threshold; below 1 the filter passes
         ("since", "f8"),  # clock at which it began from another filter, s
@@ -419,8 +418,6 @@ def _take(one, aid, z, age, variance, span, level, rate, north, east, given, gai
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
-    alpha = min(max(span / WINDOWS_S[0], span / one.seen[aid]), 1.0)
-    one.square[aid] += alpha * (clipped / numbers - one.square[aid])
     one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
     if size <= INNOVATION_MAX:
         for k in range(numbers):
@@ -459,12 +456,6 @@ def aid_ratio(one, aid, bank):
         # the first level is that of the innovations themselves
         level = bank.level[aid, i] / bank.level[aid, 0]
         most = max(most, (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / level)
-    # the mean square over the shortest window, by Wilson and Hilferty's cube root
-    numbers = 1.0 if aid == COMPASS else 2.0
-    share = 2.0 / (9.0 * numbers * _samples(one, aid, 0, bank))
-    z = (one.square[aid] ** (1.0 / 3.0) - 1.0 + share) / math.sqrt(share)
-    if z > 0.0:
-        most = max(most, z * z)
     return most / THRESHOLD
 
 
@@ -483,7 +474,6 @@ def forget_tests(one):
     """Begin the tests of a filter anew."""
     one.mean[:] = 0.0
     one.seen[:] = 0.0
-    one.square[:] = 0.0
     one.ratio = 0.0
 
 

@@ -50,7 +50,7 @@ DECISION = np.dtype(
 )
 """What is remembered of decisions."""
 
-SINGLE_S = 0.3
+SINGLE_S = 1.0
 """A failure that a single filter explains is decided after so long."""
 
 LEAD = -2.0 * math.log(1e-3)
