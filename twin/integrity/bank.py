@@ -57,8 +57,13 @@ Array = NDArray[np.float64]
 FIXES, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 """What a filter may leave out."""
 
-AIDS = 3
+SENSED = 3
 """The first three of these correct a filter; the others drive it."""
+
+TURN, PUSH = SENSED, SENSED + 1
+"""Yaw rate and accelerations as the commands make them, which correct it where no GPS does."""
+
+AIDS = 5
 
 LEFT_OUT = np.array(
     [
@@ -163,9 +168,16 @@ BANK = np.dtype(
         ("force", "f8", 3),  # integrals of the specific forces (m/s), and their time (s)
         ("samples", "f8", AIDS),  # number of samples
         ("sum", "f8", 5),  # of x, y, v_x, v_y, heading
-        ("age_sum", "f8", AIDS),  # of the ages at the end of the epoch, s
-        ("age", "f8", AIDS),  # time since the last sample, s
+        ("age_sum", "f8", SENSED),  # of the ages at the end of the epoch, s
+        ("age", "f8", SENSED),  # time since the last sample, s
         ("interval", "f8", AIDS),  # typical time between samples, s
+        # what the commands make: yaw rate (rad/s), accelerations (m/s2), what these were less than
+        # the measured specific forces (m/s2), and the variances of all three
+        ("turn", "f8"),
+        ("push", "f8", 2),
+        ("excess", "f8", 2),
+        ("model_var", "f8", 3),
+        ("modelled", "f8"),  # 1 while this is used, as no GPS is
         # variance of mean innovations over that of white ones, learned while all is sound
         ("level", "f8", (AIDS, WINDOWS)),
         ("imu_age", "f8", 2),  # of gyro, accelerometers, s
@@ -352,12 +364,22 @@ def predict(one, T, bank, given):
 
 
 @inlined
-def _innovation(one, aid, k, z, age, rate, acceleration, given, gain):
+def _innovation(one, aid, k, bank, age, rate, acceleration, given, gain):
     """Return number k of an aid less what a filter expects ``age`` s ago, and h P h'.
 
     P h' is written to ``gain`` (8,). The row h has entries of position, velocity, heading and rate.
     """
-    x, P = one.x, one.P
+    x, P, z = one.x, one.P, bank.sum
+    if aid >= SENSED:
+        # a bias where the sensor is used, else what it would measure
+        at = G if aid == TURN else A1 + k
+        if aid == TURN:
+            said = bank.gyro[0] - bank.turn if one.uses_gyro > 0.0 else bank.turn
+        else:
+            said = bank.excess[k] if one.uses_accelerometers > 0.0 else bank.push[k]
+        for i in range(STATES):
+            gain[i] = P[i, at]
+        return said - x[at], P[at, at]
     if aid == COMPASS:
         on_rate = 0.0 if one.uses_gyro > 0.0 else -age
         nu = wrap(z[4] - (x[PSI] - age * rate))
@@ -395,16 +417,22 @@ def _correct(one, gain, innovation, S):
             P[i, j] -= share * gain[j]
 
 
+@inlined
+def _numbers(aid):
+    """Return how many numbers an aid has."""
+    return 1 if aid in (COMPASS, TURN) else 2
+
+
 @kernel
-def _take(one, aid, z, age, variance, span, level, rate, north, east, given, gain):
-    """Test and correct a filter by the samples of an aid that it uses."""
-    numbers = 1 if aid == COMPASS else 2
+def _take(one, aid, bank, age, variance, span, rate, north, east, given, gain):
+    """Test and correct a filter by an aid."""
+    numbers, level = _numbers(aid), bank.level[aid, 0]
     w0 = w1 = logarithm = 0.0
     for k in range(numbers):
-        acceleration = north if k == 0 else east
-        nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
-        S = (spread + variance) * level
-        logarithm += math.log(S / variance)
+        acceleration, R = north if k == 0 else east, variance[k]
+        nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
+        S = (spread + R) * level
+        logarithm += math.log(S / R)
         if k == 0:
             w0 = nu / math.sqrt(S)
         else:
@@ -419,11 +447,11 @@ def _take(one, aid, z, age, variance, span, level, rate, north, east, given, gai
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
     one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
-    if size <= INNOVATION_MAX:
+    if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled > 0.0):
         for k in range(numbers):
             acceleration = north if k == 0 else east
-            nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
-            _correct(one, gain, nu, spread + variance)
+            nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
+            _correct(one, gain, nu, spread + variance[k])
 
 
 @inlined
@@ -436,7 +464,7 @@ def _samples(one, aid, window, bank):
 @inlined
 def _learn_level(one, aid, span, bank):
     """Learn how much more the means vary than those of white innovations would."""
-    numbers, level = 1.0 if aid == COMPASS else 2.0, bank.level
+    numbers, level = float(_numbers(aid)), bank.level
     share = min(span / min(max(bank.clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
     first = level[aid, 0]
     for i in range(WINDOWS):
@@ -464,7 +492,10 @@ def test_ratio(k, bank):
     """Return the largest statistic of filter k over its threshold."""
     most = 0.0
     for aid in range(AIDS):
-        if LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S:
+        tested = bank.modelled > 0.0
+        if aid < SENSED:
+            tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
+        if tested:
             most = max(most, aid_ratio(bank.filters[k], aid, bank))
     return most
 
@@ -486,7 +517,7 @@ def _gather(dt, z, bank, given):
         bank.row = dt
     bank.row += ROW_SHARE * (min(dt, ROWS_MISSING * bank.row) - bank.row)
     covered = min(dt, ROWS_MISSING * bank.row)
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         bank.age[aid] += dt
         bank.age_sum[aid] += dt * bank.samples[aid]
     for k in range(2):
@@ -503,7 +534,7 @@ def _gather(dt, z, bank, given):
         bank.force[1] += covered * z[7]
         bank.force[2] += covered
         bank.imu_age[1] = 0.0
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         first = 2 * aid
         if math.isnan(z[first]) or (aid < COMPASS and math.isnan(z[first + 1])):
             continue
@@ -559,7 +590,7 @@ def _begin_variances(one, given):
 @inlined
 def _end_sums(bank):
     """Turn the sums of the epoch into means."""
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         n = bank.samples[aid]
         if n > 0.0:
             bank.age_sum[aid] /= n
@@ -602,16 +633,24 @@ def _advance_filter(k, bank, given, sound, gain):
     late = TIMING_S * TIMING_S + row * row / 12.0
     for aid in range(AIDS):
         n = bank.samples[aid]
-        if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
+        if n == 0.0 or (aid < SENSED and LEFT_OUT[k, aid] > 0.0):
             continue
-        variance = given.compass_var / n + late * rate * rate
         if aid == FIXES:
-            variance = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
+            R = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
         elif aid == VELOCITY:
-            variance = given.velocity_var / n + 0.5 * late * (north * north + east * east)
-        span, age = max(bank.interval[aid], T), bank.age_sum[aid]
-        level = bank.level[aid, 0]
-        _take(one, aid, bank.sum, age, variance, span, level, rate, north, east, given, gain)
+            R = given.velocity_var / n + 0.5 * late * (north * north + east * east)
+        else:
+            R = given.compass_var / n + late * rate * rate
+        variance = (R, R)
+        if aid == TURN:
+            if gyro and bank.gyro[1] == 0.0:
+                continue
+            variance = (bank.model_var[0], 0.0)
+        elif aid == PUSH:
+            variance = (bank.model_var[1], bank.model_var[2])
+        span = max(bank.interval[aid], T)
+        age = bank.age_sum[aid] if aid < SENSED else 0.0
+        _take(one, aid, bank, age, variance, span, rate, north, east, given, gain)
         if sound and k == 0:
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
@@ -655,6 +694,9 @@ def advance_bank(dt, z, bank, given, work):
     if bank.span < EPOCH_S - 1e-6:
         return False
     _end_sums(bank)
+    biased = bank.filters[0].uses_accelerometers > 0.0
+    for i in range(2):
+        bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
     sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
     # the fresh filter is asked for only where a GPS is left out
     for k in range(FILTERS if 0.0 < bank.force_filter <= VELOCITY + 2.0 else FRESH):
@@ -664,5 +706,7 @@ def advance_bank(dt, z, bank, given, work):
     for j in range(5):
         bank.sum[j] = 0.0
     for j in range(3):
-        bank.samples[j] = bank.age_sum[j] = bank.force[j] = 0.0
+        bank.age_sum[j] = bank.force[j] = 0.0
+    for aid in range(AIDS):
+        bank.samples[aid] = 0.0
     return True

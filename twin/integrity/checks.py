@@ -16,6 +16,7 @@ from twin.integrity.bank import (
     AIDS,
     LEFT_OUT,
     PSI,
+    SENSED,
     SILENT_S,
     VE,
     VN,
@@ -25,6 +26,7 @@ from twin.integrity.bank import (
 )
 from twin.integrity.commands import (
     LEFT_DEAD,
+    RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
     WARM_UP_STEPS,
@@ -54,7 +56,7 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors"]
 
-NO_GYRO, NO_ACCELEROMETERS, NO_VELOCITY = 5, 6, 2
+NO_ACCELEROMETERS, NO_VELOCITY = 6, 2
 """Filters of the bank that leave one of these out."""
 
 
@@ -141,7 +143,6 @@ def _watch(dt, cmd, memory, given):
     u, v = one.x[VN] * c + one.x[VE] * s, one.x[VE] * c - one.x[VN] * s
     gyro = bank.epoch_rate - bank.filters[0].x[G]
     rate = gyro if one.uses_gyro > 0.0 and not math.isnan(gyro) else one.x[G]
-    other = bank.filters[NO_GYRO].x[G]
     sound = bank.filters[0]
     bias = (sound.x[A1], sound.x[A2]) if sound.uses_accelerometers > 0.0 else (0.0, 0.0)
     forces = (memory.z[6] - bias[0], memory.z[7] - bias[1])
@@ -154,10 +155,30 @@ def _watch(dt, cmd, memory, given):
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
     watch_commands(
-        dt, cmd, (rate, u, v, other), forces, known, doubted, has_gps, memory.clock, memory.drives,
+        dt, cmd, (rate, u, v), forces, known, doubted, has_gps, memory.clock, memory.drives,
         given.drives,
     )  # fmt: skip
     return has_gps
+
+
+@inlined
+def _aid_bank(memory, has_gps, given):
+    """Give the bank what the commands make, where a step of theirs has just ended."""
+    bank, drives = memory.bank, memory.drives
+    sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
+    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < BLAMED else 0.0
+    if drives.said == 0.0:
+        return
+    drives.said = 0.0
+    U, T, span = given.drives.speed, given.drives.time, drives.length
+    bank.turn = drives.yaw / T
+    bank.model_var[0] = max(drives.yaw_var, RESIDUAL_SD_MIN**2) / T**2
+    for axis in range(2):
+        bank.push[axis] = drives.push[axis] * U / span
+        bank.excess[axis] = drives.excess[axis] * U / span
+        bank.model_var[1 + axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * (U / span) ** 2
+    for aid in range(SENSED, AIDS):
+        bank.samples[aid], bank.interval[aid] = 1.0, span
 
 
 @inlined
@@ -259,13 +280,10 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     bank = memory.bank
     memory.switched = 0.0
     has_gps = _watch(dt, cmd, memory, given)
+    _aid_bank(memory, has_gps, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        blamed = drives.hypothesis == SOUND and not has_gps and most_evidence(drives) < BLAMED
-        switched = decide(
-            bank, memory.decision, memory.frozen[:], drives.yaw_witness,
-            drives.force_ratio if blamed else 0.0, given.bank,
-        )  # fmt: skip
+        switched = decide(bank, memory.decision, memory.frozen[:], given.bank)
         if switched:
             memory.switched = 1.0
             # the motion begins again: a step of the commands that spans it would be wrong
@@ -279,7 +297,7 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     memory.contradicted = 0.0
     if memory.decision.in_doubt > 0.0:
         # what fails is not used until it is known what is wrong
-        for aid in range(AIDS):
+        for aid in range(SENSED):
             if aid_ratio(bank.filters[force], aid, bank) >= 1.0:
                 memory.contradicted = 1.0
                 for j in range(PARTS[aid, 0], PARTS[aid, 1]):

@@ -28,7 +28,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.integrity.bank import LEVEL_MAX, THRESHOLD
 from twin.particulars import Particulars
 from usv_kernel.jit import inlined, kernel
 
@@ -141,20 +140,11 @@ FOLLOW_S = 20.0
 """Time constant with which the motion by the commands alone follows the true one, while that is
 known: so it is learned how wrong it becomes."""
 
-FORCE_S = 4.0
-"""Window over which accelerometers are held against the commands: longer than waves."""
 
 FORCE_TIME_S = 60.0
-"""Time constant with which offsets and variances of what they differ by are learned ..."""
+"""Time constant with which offsets and variances of what the commands say are learned."""
 
-FORCE_LEARNED_S = 30.0
-"""... and for how long they must have been before they mean anything."""
 
-LEVEL_MIN = 1.0
-"""Least level of the mean of the forces: waves average out sooner than independent errors."""
-
-WITNESS_S = 10.0
-"""Time constant of the witness of gyro and compass."""
 
 DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
 """Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
@@ -191,15 +181,12 @@ DRIVES = np.dtype(
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
         ("offset", "f8", 2),  # what the forces are more than the commands make in a step
         ("force_var", "f8", 2),  # variance of that
-        ("learned", "f8"),  # time over which these were learned, s
-        ("mean", "f8", 2),  # mean of it whitened over FORCE_S
-        ("weight", "f8"),  # sum of the squared weights of this mean
-        ("level", "f8", 2),  # its variance over that of independent steps
-        ("seen", "f8"),  # time that it has seen, s
-        ("force_ratio", "f8"),  # largest statistic over its threshold, without GPS
+        ("push", "f8", 2),  # what the commands made in the last step, forward and to starboard
+        ("excess", "f8", 2),  # what the accelerometers measured more
+        ("length", "f8"),  # how long it was, s
+        ("said", "f8"),  # 1 where these are new
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
-        ("yaw_witness", "f8"),  # log-likelihood of the turn by compass over that by gyro
         ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
         ("gain", "f8", TERMS),  # scratch
         ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
@@ -374,7 +361,7 @@ def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
                 # to starboard the accelerometers measure the turn at the surge of the hypothesis
                 error = changes[2] - drives.surges[h] * turned
                 S = max(drives.force_var[1], RESIDUAL_SD_MIN**2)
-                total += _log_likelihood(error, S) / max(drives.level[1], 1.0)
+                total += _log_likelihood(error, S)
             change = _change(drives, SURGE, drives.row[h, SURGE])
             drives.surges[h] = _limited(drives.surges[h] + change)
         drives.likelihood[1, h] = total
@@ -421,52 +408,34 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
 
 
 @inlined
-def _watch_yaw(drives, gyro, compass, surge, sway, span, h, has_gps):
-    """Hold the yaw rates by gyro and by compass against that by the commands alone."""
+def _say_turn(drives, gyro, surge, sway, span, h, has_gps):
+    """Say the yaw rate by the commands alone at the end of a step; learn how wrong it is."""
     row = drives.row[h, YAW]
     row[0], row[1], row[4] = drives.yaw, drives.yaw * abs(drives.yaw), surge * sway
     drives.yaw = _limited(drives.yaw + _change(drives, YAW, row))
-    S = max(drives.yaw_var, RESIDUAL_SD_MIN**2)
-    ratio = _log_likelihood(compass - drives.yaw, S) - _log_likelihood(gyro - drives.yaw, S)
-    drives.yaw_witness = math.exp(-span / WITNESS_S) * drives.yaw_witness + ratio
     if has_gps:
         error = gyro - drives.yaw
         drives.yaw_var += span / FORCE_TIME_S * (error * error - drives.yaw_var)
         drives.yaw += span / FOLLOW_S * error
-        drives.yaw_witness = 0.0
 
 
 @inlined
-def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
-    """Hold what the accelerometers measured in a step against what the commands make.
+def _say_push(drives, surge, changes, sway, turned, span, h, has_gps):
+    """Say what the commands make forward and to starboard in a step; learn how wrong it is.
 
     ``surge`` is that by the commands alone when the step began.
     """
     row = drives.row[h, SURGE]
     row[0], row[1] = surge, surge * abs(surge)
-    drives.seen += span
-    alpha = min(max(span / FORCE_S, span / drives.seen), 1.0)
-    if has_gps:
-        drives.learned += span
     share = span / FORCE_TIME_S
-    drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
-    drives.force_ratio = 0.0
+    drives.push[0], drives.push[1] = _change(drives, SURGE, row), surge * turned
     for axis in range(2):
-        excess = (
-            changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
-        )
+        excess = changes[1 + axis] - drives.push[axis]
+        drives.excess[axis] = excess
         if has_gps:
             drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
-        w = excess / math.sqrt(max(drives.force_var[axis], RESIDUAL_SD_MIN**2))
-        w = min(max(w, -6.0), 6.0)
-        drives.mean[axis] += alpha * (w - drives.mean[axis])
-        square = drives.mean[axis] * drives.mean[axis] / drives.weight
-        if has_gps:
-            drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
-        elif drives.learned >= FORCE_LEARNED_S:
-            square /= max(drives.level[axis], LEVEL_MIN) * THRESHOLD
-            drives.force_ratio = max(drives.force_ratio, square)
+    drives.length, drives.said = span, 1.0
 
 
 @inlined
@@ -525,16 +494,10 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
         suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
-        if doubted:
-            drives.seen = drives.force_ratio = drives.weight = 0.0
-            drives.mean[0] = drives.mean[1] = 0.0
-        elif measured:
+        _say_turn(drives, yaw, at, sway, span, h, has_gps and not doubted)
+        if measured:
             ahead = (changes[0], forces[0], forces[1])
-            _watch_forces(drives, own, ahead, sway, turned, span, h, has_gps)
-    else:
-        drives.yaw_witness = drives.seen = drives.force_ratio = drives.weight = 0.0
-        drives.mean[0] = drives.mean[1] = 0.0
+            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted)
     if has_gps and not doubted:
         _follow(drives, yaw, surge, sway, span, trained)
     return not suspected and drives.hypothesis == SOUND
@@ -560,8 +523,8 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         Time since the row before, s.
     cmd : ndarray, shape (4,)
         Command in force since then.
-    motion : tuple of 4 floats
-        Yaw rate, surge and sway over the ground, and yaw rate without gyro; rad/s and m/s.
+    motion : tuple of 3 floats
+        Yaw rate, surge and sway over the ground; rad/s and m/s.
     force : tuple of 2 floats
         Specific forces forward and to starboard less their biases, m/s2; NaN where there are none.
     known, doubted, has_gps : bool

@@ -19,7 +19,6 @@ import numpy as np
 from twin.integrity.bank import (
     A1,
     A2,
-    ACCELEROMETERS,
     AIDS,
     FILTERS,
     FIXES,
@@ -29,6 +28,7 @@ from twin.integrity.bank import (
     PE,
     PN,
     PSI,
+    SENSED,
     SILENT_S,
     STATES,
     VN,
@@ -142,7 +142,7 @@ def _is_candidate(bank, k, force, device):
 
 
 @kernel
-def _best(bank, force, yaw_witness):
+def _best(bank, force):
     """Return how many filters may explain a failure, the best of them, and its lead.
 
     The lead is twice the logarithm of the likelihood ratio to the next one, by the samples of the
@@ -163,12 +163,11 @@ def _best(bank, force, yaw_witness):
                 continue
             ahead = 0.0
             for aid in range(AIDS):
-                if LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0:
+                both = bank.modelled > 0.0
+                if aid < SENSED:
+                    both = LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0
+                if both:
                     ahead += bank.filters[other].misfit[aid] - bank.filters[k].misfit[aid]
-            if k == NO_GYRO and other == NO_COMPASS:
-                ahead += 2.0 * yaw_witness
-            elif k == NO_COMPASS and other == NO_GYRO:
-                ahead -= 2.0 * yaw_witness
             if ahead == 0.0:
                 ahead = bank.filters[other].ratio - bank.filters[k].ratio
             least = min(least, ahead)
@@ -194,8 +193,8 @@ def _begin_fresh(bank, force, given):
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
-    tested = False
-    for aid in range(AIDS):
+    tested = bank.modelled > 0.0
+    for aid in range(SENSED):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
 
@@ -220,25 +219,23 @@ def _begin_anew(bank, given):
 
 
 @inlined
-def _add_witnesses(bank, frozen, force_ratio):
-    """Let filters fail that use what repeats itself, or what the commands contradict."""
+def _add_witnesses(bank, frozen):
+    """Let filters fail that use what repeats itself."""
     for k in range(FILTERS):
         one = bank.filters[k]
         for j in range(LEFT_OUT.shape[1]):
             if frozen[j] > 0.0 and LEFT_OUT[k, j] == 0.0:
                 one.ratio = max(one.ratio, FROZEN_RATIO)
-        if LEFT_OUT[k, ACCELEROMETERS] == 0.0:
-            one.ratio = max(one.ratio, force_ratio)
 
 
 @kernel
-def _leave_out(bank, state, force, yaw_witness, given):
+def _leave_out(bank, state, force, given):
     """Decide what explains that the filter in force fails; return whether another one is now."""
     filters, now = bank.filters, bank.clock
     if state.failing_since < 0.0:
         state.failing_since = now
     state.in_doubt = 1.0
-    count, best, lead = _best(bank, force, yaw_witness)
+    count, best, lead = _best(bank, force)
     waited = now - state.failing_since
     soon = waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
@@ -286,7 +283,7 @@ def _use_again(bank, state, force, given):
         return False
     if lasted <= state.dwell or full.ratio >= PASSES_WELL:
         return False
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * state.dwell:
             return False  # it has not spoken meanwhile
     bank.force_filter = 0.0
@@ -296,17 +293,16 @@ def _use_again(bank, state, force, given):
 
 
 @kernel
-def decide(bank, state, frozen, yaw_witness, force_ratio, given):
+def decide(bank, state, frozen, given):
     """Choose the filter in force after an epoch; return whether it changed.
 
-    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself. The last
-    two are what the commands say without GPS: see :mod:`twin.integrity.commands`.
+    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself.
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
-    _add_witnesses(bank, frozen, force_ratio)
+    _add_witnesses(bank, frozen)
     state.in_doubt = 0.0
     if filters[force].ratio >= 1.0:
-        return _leave_out(bank, state, force, yaw_witness, given)
+        return _leave_out(bank, state, force, given)
     state.failing_since = -1.0
     if 0 < force <= NO_GPS and _use_fresh(bank, state, force, given):
         return True
