@@ -16,8 +16,10 @@ from twin.integrity.bank import (
     AIDS,
     LEFT_OUT,
     PSI,
+    PUSH,
     SENSED,
     SILENT_S,
+    TURN,
     VE,
     VN,
     G,
@@ -166,7 +168,8 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
-    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < BLAMED else 0.0
+    bank.modelled[TURN] = 1.0 if sound and not has_gps else 0.0
+    bank.modelled[PUSH] = bank.modelled[TURN] if most_evidence(drives) < BLAMED else 0.0
     if drives.said == 0.0:
         return
     drives.said = 0.0

@@ -31,6 +31,7 @@ from twin.integrity.bank import (
     SENSED,
     SILENT_S,
     STATES,
+    TURN,
     VN,
     convert,
     forget_tests,
@@ -163,7 +164,7 @@ def _best(bank, force):
                 continue
             ahead = 0.0
             for aid in range(AIDS):
-                both = bank.modelled > 0.0
+                both = bank.modelled[aid] > 0.0
                 if aid < SENSED:
                     both = LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0
                 if both:
@@ -193,7 +194,7 @@ def _begin_fresh(bank, force, given):
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
-    tested = bank.modelled > 0.0
+    tested = bank.modelled[TURN] > 0.0
     for aid in range(SENSED):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
