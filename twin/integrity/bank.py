@@ -447,7 +447,7 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, given, gain):
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
     one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
-    if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled[aid] > 0.0):
+    if size <= INNOVATION_MAX and (aid < SENSED or (aid == PUSH and bank.modelled[aid] > 0.0)):
         for k in range(numbers):
             acceleration = north if k == 0 else east
             nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
@@ -492,7 +492,7 @@ def test_ratio(k, bank):
     """Return the largest statistic of filter k over its threshold."""
     most = 0.0
     for aid in range(AIDS):
-        tested = bank.modelled[aid] > 0.0
+        tested = aid == PUSH and bank.modelled[aid] > 0.0
         if aid < SENSED:
             tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
         if tested:

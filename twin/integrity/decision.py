@@ -31,7 +31,7 @@ from twin.integrity.bank import (
     SENSED,
     SILENT_S,
     STATES,
-    TURN,
+    PUSH,
     VN,
     convert,
     forget_tests,
@@ -194,7 +194,7 @@ def _begin_fresh(bank, force, given):
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
-    tested = bank.modelled[TURN] > 0.0
+    tested = bank.modelled[PUSH] > 0.0
     for aid in range(SENSED):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
