@@ -106,9 +106,6 @@ INNOVATION_MAX = 6.0
 SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
 
-MISFIT_S = 6.0
-"""Time constant of the likelihood by which filters are compared."""
-
 IMU_SILENT_S = 1.0
 """Gyro or accelerometers without samples for so long drive no filter."""
 
@@ -127,7 +124,7 @@ STEP_MAX_S = 1.0
 STEPS_MAX = 30
 """Most steps of a prediction: a gap that is longer is predicted through coarsely."""
 
-LEVEL_MAX = 6.0
+LEVEL_MAX = 4.0
 """Largest level: beyond, a sensor is at fault."""
 
 LEVEL_START = 4.0
@@ -150,7 +147,7 @@ FILTER = np.dtype(
         ("uses_accelerometers", "f8"),  # 1 where the accelerometers do
         ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
         ("seen", "f8", AIDS),  # time that the windows have seen, s
-        ("misfit", "f8", AIDS),  # leaky sums of -2 log-likelihood of the samples, with MISFIT_S
+        ("misfit", "f8", AIDS),  # -2 log-likelihood of the samples since the failure began
         ("ratio", "f8"),  # largest statistic over its threshold; below 1 the filter passes
         ("since", "f8"),  # clock at which it began from another filter, s
     ]
@@ -446,7 +443,7 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, given, gain):
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
-    one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
+    one.misfit[aid] += clipped + logarithm
     if size <= INNOVATION_MAX and (aid < SENSED or (aid == PUSH and bank.modelled[aid] > 0.0)):
         for k in range(numbers):
             acceleration = north if k == 0 else east

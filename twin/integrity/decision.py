@@ -235,6 +235,8 @@ def _leave_out(bank, state, force, given):
     filters, now = bank.filters, bank.clock
     if state.failing_since < 0.0:
         state.failing_since = now
+        for k in range(FILTERS):
+            filters[k].misfit[:] = 0.0
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force)
     waited = now - state.failing_since
