@@ -60,10 +60,10 @@ FIXES, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 SENSED = 3
 """The first three of these correct a filter; the others drive it."""
 
-TURN, PUSH = SENSED, SENSED + 1
-"""Yaw rate and accelerations as the commands make them, which correct it where no GPS does."""
+PUSH = SENSED
+"""Accelerations as the commands make them, which correct it where no GPS does."""
 
-AIDS = 5
+AIDS = 4
 
 LEFT_OUT = np.array(
     [
@@ -168,13 +168,12 @@ BANK = np.dtype(
         ("age_sum", "f8", SENSED),  # of the ages at the end of the epoch, s
         ("age", "f8", SENSED),  # time since the last sample, s
         ("interval", "f8", AIDS),  # typical time between samples, s
-        # what the commands make: yaw rate (rad/s), accelerations (m/s2), what these were less than
-        # the measured specific forces (m/s2), and the variances of all three
-        ("turn", "f8"),
+        # accelerations that the commands make, what these were less than the measured specific
+        # forces (m/s2), and the variances of that
         ("push", "f8", 2),
         ("excess", "f8", 2),
-        ("model_var", "f8", 3),
-        ("modelled", "f8", AIDS),  # 1 where an aid by the commands is used, as no GPS is
+        ("push_var", "f8", 2),
+        ("modelled", "f8"),  # 1 while this is used, as no GPS is
         # variance of mean innovations over that of white ones, learned while all is sound
         ("level", "f8", (AIDS, WINDOWS)),
         ("imu_age", "f8", 2),  # of gyro, accelerometers, s
@@ -367,13 +366,9 @@ def _innovation(one, aid, k, bank, age, rate, acceleration, given, gain):
     P h' is written to ``gain`` (8,). The row h has entries of position, velocity, heading and rate.
     """
     x, P, z = one.x, one.P, bank.sum
-    if aid >= SENSED:
-        # a bias where the sensor is used, else what it would measure
-        at = G if aid == TURN else A1 + k
-        if aid == TURN:
-            said = bank.gyro[0] - bank.turn if one.uses_gyro > 0.0 else bank.turn
-        else:
-            said = bank.excess[k] if one.uses_accelerometers > 0.0 else bank.push[k]
+    if aid == PUSH:
+        # a bias where the accelerometers are used, else what they would measure
+        at, said = A1 + k, bank.excess[k] if one.uses_accelerometers > 0.0 else bank.push[k]
         for i in range(STATES):
             gain[i] = P[i, at]
         return said - x[at], P[at, at]
@@ -417,7 +412,7 @@ def _correct(one, gain, innovation, S):
 @inlined
 def _numbers(aid):
     """Return how many numbers an aid has."""
-    return 1 if aid in (COMPASS, TURN) else 2
+    return 1 if aid == COMPASS else 2
 
 
 @kernel
@@ -444,7 +439,7 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, given, gain):
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
     one.misfit[aid] += clipped + logarithm
-    if size <= INNOVATION_MAX and (aid < SENSED or (aid == PUSH and bank.modelled[aid] > 0.0)):
+    if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled > 0.0):
         for k in range(numbers):
             acceleration = north if k == 0 else east
             nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
@@ -489,7 +484,7 @@ def test_ratio(k, bank):
     """Return the largest statistic of filter k over its threshold."""
     most = 0.0
     for aid in range(AIDS):
-        tested = aid == PUSH and bank.modelled[aid] > 0.0
+        tested = bank.modelled > 0.0
         if aid < SENSED:
             tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
         if tested:
@@ -639,16 +634,12 @@ def _advance_filter(k, bank, given, sound, gain):
         else:
             R = given.compass_var / n + late * rate * rate
         variance = (R, R)
-        if aid == TURN:
-            if gyro and bank.gyro[1] == 0.0:
-                continue
-            variance = (bank.model_var[0], 0.0)
-        elif aid == PUSH:
-            variance = (bank.model_var[1], bank.model_var[2])
+        if aid == PUSH:
+            variance = (bank.push_var[0], bank.push_var[1])
         span = max(bank.interval[aid], T)
         age = bank.age_sum[aid] if aid < SENSED else 0.0
         _take(one, aid, bank, age, variance, span, rate, north, east, given, gain)
-        if sound and k == 0:
+        if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
 

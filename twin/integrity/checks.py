@@ -13,13 +13,11 @@ import math
 from twin.integrity.bank import (
     A1,
     A2,
-    AIDS,
     LEFT_OUT,
     PSI,
     PUSH,
     SENSED,
     SILENT_S,
-    TURN,
     VE,
     VN,
     G,
@@ -58,7 +56,7 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors"]
 
-NO_ACCELEROMETERS, NO_VELOCITY = 6, 2
+NO_VELOCITY, NO_COMPASS, NO_GYRO, NO_ACCELEROMETERS = 2, 4, 5, 6
 """Filters of the bank that leave one of these out."""
 
 
@@ -157,7 +155,7 @@ def _watch(dt, cmd, memory, given):
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
     watch_commands(
-        dt, cmd, (rate, u, v), forces, known, doubted, has_gps, memory.clock, memory.drives,
+        dt, cmd, (rate, u, v, bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]), forces, known, doubted, has_gps, memory.clock, memory.drives,
         given.drives,
     )  # fmt: skip
     return has_gps
@@ -168,20 +166,16 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
-    bank.modelled[TURN] = 1.0 if sound and not has_gps else 0.0
-    bank.modelled[PUSH] = bank.modelled[TURN] if most_evidence(drives) < BLAMED else 0.0
+    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < BLAMED else 0.0
     if drives.said == 0.0:
         return
     drives.said = 0.0
-    U, T, span = given.drives.speed, given.drives.time, drives.length
-    bank.turn = drives.yaw / T
-    bank.model_var[0] = max(drives.yaw_var, RESIDUAL_SD_MIN**2) / T**2
+    span, scale = drives.length, given.drives.speed / drives.length
     for axis in range(2):
-        bank.push[axis] = drives.push[axis] * U / span
-        bank.excess[axis] = drives.excess[axis] * U / span
-        bank.model_var[1 + axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * (U / span) ** 2
-    for aid in range(SENSED, AIDS):
-        bank.samples[aid], bank.interval[aid] = 1.0, span
+        bank.push[axis] = drives.push[axis] * scale
+        bank.excess[axis] = drives.excess[axis] * scale
+        bank.push_var[axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * scale**2
+    bank.samples[PUSH], bank.interval[PUSH] = 1.0, span
 
 
 @inlined
@@ -286,7 +280,9 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     _aid_bank(memory, has_gps, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        switched = decide(bank, memory.decision, memory.frozen[:], given.bank)
+        switched = decide(
+            bank, memory.decision, memory.frozen[:], drives.yaw_witness, given.bank
+        )
         if switched:
             memory.switched = 1.0
             # the motion begins again: a step of the commands that spans it would be wrong

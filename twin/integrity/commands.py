@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from twin.particulars import Particulars
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import wrap
 
 __all__ = [
     "DRIVES",
@@ -187,6 +188,8 @@ DRIVES = np.dtype(
         ("said", "f8"),  # 1 where these are new
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
+        ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
+        ("yaw_witness", "f8"),  # log-likelihood of the turns by compass over that of those by gyro
         ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
         ("gain", "f8", TERMS),  # scratch
         ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
@@ -408,11 +411,19 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
 
 
 @inlined
-def _say_turn(drives, gyro, surge, sway, span, h, has_gps):
-    """Say the yaw rate by the commands alone at the end of a step; learn how wrong it is."""
+def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
+    """Hold turns by gyro and by compass against that by the commands alone.
+
+    ``gyro`` is the yaw rate at the end of the step.
+    """
+    before = drives.yaw
     row = drives.row[h, YAW]
     row[0], row[1], row[4] = drives.yaw, drives.yaw * abs(drives.yaw), surge * sway
     drives.yaw = _limited(drives.yaw + _change(drives, YAW, row))
+    said, S = 0.5 * (before + drives.yaw), max(drives.yaw_var, RESIDUAL_SD_MIN**2)
+    by_compass = wrap(motion[4] - drives.headings[1]) / span * given.time - said
+    by_gyro = wrap(motion[3] - drives.headings[0]) / span * given.time - said
+    drives.yaw_witness += _log_likelihood(by_compass, S) - _log_likelihood(by_gyro, S)
     if has_gps:
         error = gyro - drives.yaw
         drives.yaw_var += span / FORCE_TIME_S * (error * error - drives.yaw_var)
@@ -489,12 +500,14 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
     _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
     suspected = True
+    if not doubted:
+        drives.yaw_witness = 0.0
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
         suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _say_turn(drives, yaw, at, sway, span, h, has_gps and not doubted)
+        _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
         if measured:
             ahead = (changes[0], forces[0], forces[1])
             _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted)
@@ -511,6 +524,7 @@ def _begin_step(drives, motion, given):
         drives.sum[i] = 0.0
     drives.begin[YAW], drives.begin[SURGE] = motion[0] * given.time, motion[1] / given.speed
     drives.sway = motion[2] / given.speed
+    drives.headings[0], drives.headings[1] = motion[3], motion[4]
 
 
 @kernel
@@ -523,8 +537,9 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         Time since the row before, s.
     cmd : ndarray, shape (4,)
         Command in force since then.
-    motion : tuple of 3 floats
-        Yaw rate, surge and sway over the ground; rad/s and m/s.
+    motion : tuple of 5 floats
+        Yaw rate, surge and sway over the ground, rad/s and m/s, heading without compass, and
+        heading without gyro, rad.
     force : tuple of 2 floats
         Specific forces forward and to starboard less their biases, m/s2; NaN where there are none.
     known, doubted, has_gps : bool

@@ -31,7 +31,6 @@ from twin.integrity.bank import (
     SENSED,
     SILENT_S,
     STATES,
-    PUSH,
     VN,
     convert,
     forget_tests,
@@ -143,7 +142,7 @@ def _is_candidate(bank, k, force, device):
 
 
 @kernel
-def _best(bank, force):
+def _best(bank, force, yaw_witness):
     """Return how many filters may explain a failure, the best of them, and its lead.
 
     The lead is twice the logarithm of the likelihood ratio to the next one, by the samples of the
@@ -164,11 +163,15 @@ def _best(bank, force):
                 continue
             ahead = 0.0
             for aid in range(AIDS):
-                both = bank.modelled[aid] > 0.0
+                both = bank.modelled > 0.0
                 if aid < SENSED:
                     both = LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0
                 if both:
                     ahead += bank.filters[other].misfit[aid] - bank.filters[k].misfit[aid]
+            if k == NO_GYRO and other == NO_COMPASS:
+                ahead += 2.0 * yaw_witness
+            elif k == NO_COMPASS and other == NO_GYRO:
+                ahead -= 2.0 * yaw_witness
             if ahead == 0.0:
                 ahead = bank.filters[other].ratio - bank.filters[k].ratio
             least = min(least, ahead)
@@ -194,7 +197,7 @@ def _begin_fresh(bank, force, given):
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
-    tested = bank.modelled[PUSH] > 0.0
+    tested = bank.modelled > 0.0
     for aid in range(SENSED):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
@@ -230,7 +233,7 @@ def _add_witnesses(bank, frozen):
 
 
 @kernel
-def _leave_out(bank, state, force, given):
+def _leave_out(bank, state, force, yaw_witness, given):
     """Decide what explains that the filter in force fails; return whether another one is now."""
     filters, now = bank.filters, bank.clock
     if state.failing_since < 0.0:
@@ -238,7 +241,7 @@ def _leave_out(bank, state, force, given):
         for k in range(FILTERS):
             filters[k].misfit[:] = 0.0
     state.in_doubt = 1.0
-    count, best, lead = _best(bank, force)
+    count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
     soon = waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
@@ -296,16 +299,17 @@ def _use_again(bank, state, force, given):
 
 
 @kernel
-def decide(bank, state, frozen, given):
+def decide(bank, state, frozen, yaw_witness, given):
     """Choose the filter in force after an epoch; return whether it changed.
 
     ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself.
+    ``yaw_witness`` is the log-likelihood of the turns by compass over that of those by gyro.
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
     _add_witnesses(bank, frozen)
     state.in_doubt = 0.0
     if filters[force].ratio >= 1.0:
-        return _leave_out(bank, state, force, given)
+        return _leave_out(bank, state, force, yaw_witness, given)
     state.failing_since = -1.0
     if 0 < force <= NO_GPS and _use_fresh(bank, state, force, given):
         return True
