@@ -29,6 +29,7 @@ from twin.integrity.commands import (
     RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
+    SUSPECT,
     WARM_UP_STEPS,
     most_evidence,
     watch_commands,
@@ -105,20 +106,20 @@ def _set_statuses(dt, z, memory):
         frozen = memory.frozen[sensor + 1] > 0.0 or (sensor == GPS and memory.frozen[0] > 0.0)
         masked = memory.masked[sensor + 1] > 0.0 or memory.garbage > 0.0
         left = LEFT_OUT[force, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[force, 0] > 0.0)
-        why = FROZEN if frozen else CONTRADICTS
         if masked:
             _set(memory, sensor, EXCLUDED, IMPOSSIBLE)
+        elif frozen:
+            _set(memory, sensor, EXCLUDED, FROZEN)
         elif left and one.silent > SILENT_S:
             _set(memory, sensor, ABSENT, SILENT)
         elif left and force == NO_VELOCITY:
             _set(memory, sensor, DOUBTFUL, VELOCITY_OUT)
         elif left:
-            keep = one.status == EXCLUDED and one.reason > NO_REASON and one.reason != IMPOSSIBLE
-            _set(memory, sensor, EXCLUDED, one.reason if keep else why)
+            _set(memory, sensor, EXCLUDED, CONTRADICTS)
         elif one.silent > SILENT_S:
             _set(memory, sensor, ABSENT, SILENT if one.status > ABSENT or one.reason > 0.0 else 0.0)
         elif memory.decision.in_doubt > 0.0 and _may_be_at_fault(bank, sensor):
-            _set(memory, sensor, DOUBTFUL, why)
+            _set(memory, sensor, DOUBTFUL, CONTRADICTS)
         elif one.silent == 0.0 or one.status > ABSENT:
             _set(memory, sensor, OK, NO_REASON)
     commands = memory.drives
@@ -166,7 +167,7 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
-    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < BLAMED else 0.0
+    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < SUSPECT else 0.0
     if drives.said == 0.0:
         return
     drives.said = 0.0
@@ -238,9 +239,6 @@ def _write_restart(memory, has_gps, given):
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
-BLAMED = 4.0
-"""Above this evidence against the commands, accelerometers are not held against them."""
-
 KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
@@ -274,15 +272,17 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     for j in range(PARTS[4, 1]):
         out[j] = memory.z[j]
     find_frozen(dt, memory, given)
+    for part in range(PARTS.shape[0]):
+        if memory.frozen[part] > 0.0:
+            for j in range(PARTS[part, 0], PARTS[part, 1]):
+                out[j] = memory.z[j] = math.nan
     bank = memory.bank
     memory.switched = 0.0
     has_gps = _watch(dt, cmd, memory, given)
     _aid_bank(memory, has_gps, given)
     if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
         drives = memory.drives
-        switched = decide(
-            bank, memory.decision, memory.frozen[:], drives.yaw_witness, given.bank
-        )
+        switched = decide(bank, memory.decision, drives.yaw_witness, given.bank)
         if switched:
             memory.switched = 1.0
             # the motion begins again: a step of the commands that spans it would be wrong

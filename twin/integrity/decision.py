@@ -89,8 +89,9 @@ RENEW_S = 12.0
 
 PASSES_WELL = 0.5
 """Ratio below which a filter passes with a margin: what returns must."""
-FROZEN_RATIO = 9.0
-"""Ratio of a filter that uses a sensor which repeats itself."""
+
+FAILS_PLAINLY = 9.0
+"""Ratio above which a failure is decided at once."""
 
 NO_GPS, NO_COMPASS, NO_GYRO, NO_IMU = 3, 4, 5, 7
 """Filters that leave these out."""
@@ -222,16 +223,6 @@ def _begin_anew(bank, given):
         forget_tests(one)
 
 
-@inlined
-def _add_witnesses(bank, frozen):
-    """Let filters fail that use what repeats itself."""
-    for k in range(FILTERS):
-        one = bank.filters[k]
-        for j in range(LEFT_OUT.shape[1]):
-            if frozen[j] > 0.0 and LEFT_OUT[k, j] == 0.0:
-                one.ratio = max(one.ratio, FROZEN_RATIO)
-
-
 @kernel
 def _leave_out(bank, state, force, yaw_witness, given):
     """Decide what explains that the filter in force fails; return whether another one is now."""
@@ -243,7 +234,7 @@ def _leave_out(bank, state, force, yaw_witness, given):
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
-    soon = waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO
+    soon = waited >= SINGLE_S or filters[force].ratio >= FAILS_PLAINLY
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
     if best >= 0 and ((soon and certain) or waited > DECIDE_S):
         relapsed = now - state.decided < RELAPSE_S
@@ -299,14 +290,12 @@ def _use_again(bank, state, force, given):
 
 
 @kernel
-def decide(bank, state, frozen, yaw_witness, given):
+def decide(bank, state, yaw_witness, given):
     """Choose the filter in force after an epoch; return whether it changed.
 
-    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself.
-    ``yaw_witness`` is the log-likelihood of the turns by compass over that of those by gyro.
+    ``state`` is the record of the decision, ``yaw_witness`` is the log-likelihood of the turns by compass over that of those by gyro.
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
-    _add_witnesses(bank, frozen)
     state.in_doubt = 0.0
     if filters[force].ratio >= 1.0:
         return _leave_out(bank, state, force, yaw_witness, given)
