@@ -93,14 +93,8 @@ PASSES_WELL = 0.5
 FAILS_PLAINLY = 9.0
 """Ratio above which a failure is decided at once."""
 
-NO_GPS, NO_COMPASS, NO_GYRO, NO_IMU = 3, 4, 5, 7
+NO_GPS, NO_COMPASS, NO_GYRO = 3, 4, 5
 """Filters that leave these out."""
-
-
-@inlined
-def _is_device(k):
-    """Return whether filter k leaves out two sensors of a device."""
-    return k in (NO_GPS, NO_IMU)
 
 
 @kernel
@@ -137,7 +131,7 @@ def _is_minimal(bank, k, force):
 @kernel
 def _is_candidate(bank, k, force, device):
     """Return whether leaving out what filter k does may explain the failure."""
-    if k == force or bank.filters[k].ratio >= 1.0 or _is_device(k) != device:
+    if k == force or bank.filters[k].ratio >= 1.0 or (k == NO_GPS) != device:
         return False
     return _is_minimal(bank, k, force)
 
