@@ -48,6 +48,7 @@ __all__ = [
     "advance_bank",
     "aid_ratio",
     "bank_settings",
+    "begin_at_fix",
     "convert",
     "forget_tests",
 ]
@@ -179,7 +180,7 @@ BANK = np.dtype(
         ("row", "f8"),  # typical time between rows, s
         ("rate", "f8"),  # last yaw rate of the gyro, rad/s
         ("heading", "f8"),  # first heading of the epoch, rad
-        ("start", "f8", 5),  # first fix, velocity and heading
+        ("last", "f8", 5),  # last fix, velocity and heading; NaN before the first
         ("force_filter", "f8"),  # the filter in force
         ("fastest", "f8"),  # largest speed that the boat has sailed, m/s
         ("acceleration", "f8"),  # mean square of a specific force, (m/s2)2
@@ -500,6 +501,29 @@ def forget_tests(one):
 
 
 @inlined
+def _keep_last(bank, aid, z):
+    """Keep the sample of a sensor, if there is one; return whether there is."""
+    first, end = 2 * aid, min(2 * aid + 2, COMPASS * 2 + 1)
+    for j in range(first, end):
+        if math.isnan(z[j]):
+            return False
+    for j in range(first, end):
+        bank.last[j] = z[j]
+    return True
+
+
+@kernel
+def begin_at_fix(one, bank, given):
+    """Let position and velocity of a filter begin with the last ones of the GPS."""
+    for i in range(PN, VE + 1):
+        for j in range(STATES):
+            one.P[i, j] = one.P[j, i] = 0.0
+        one.x[i] = 0.0 if math.isnan(bank.last[i]) else bank.last[i]
+    one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
+    one.P[VN, VN] = one.P[VE, VE] = given.speed_var
+
+
+@inlined
 def _gather(dt, z, bank, given):
     """Add a row to the sums of the epoch; z has the samples that may be used."""
     bank.clock += dt
@@ -527,7 +551,7 @@ def _gather(dt, z, bank, given):
         bank.imu_age[1] = 0.0
     for aid in range(SENSED):
         first = 2 * aid
-        if math.isnan(z[first]) or (aid < COMPASS and math.isnan(z[first + 1])):
+        if not _keep_last(bank, aid, z):
             continue
         passed = bank.age[aid]
         bank.age[aid] = 0.0
@@ -550,32 +574,20 @@ def _gather(dt, z, bank, given):
 @kernel
 def begin_bank(bank, z, given):
     """Begin all filters with the first fix and heading."""
-    if not (math.isnan(z[0]) or math.isnan(z[1])):
-        bank.start[0], bank.start[1], bank.start[2], bank.start[3] = z[0], z[1], 0.0, 0.0
-        if not (math.isnan(z[2]) or math.isnan(z[3])):
-            bank.start[2], bank.start[3] = z[2], z[3]
-    if not math.isnan(z[4]):
-        bank.start[4] = z[4]
-    if math.isnan(bank.start[0]) or math.isnan(bank.start[4]):
+    for aid in range(SENSED):
+        _keep_last(bank, aid, z)
+    if math.isnan(bank.last[0]) or math.isnan(bank.last[4]):
         return
     bank.begun = 1.0
     for k in range(FILTERS):
         one = bank.filters[k]
         one.x[:], one.P[:, :] = 0.0, 0.0
-        one.x[PN], one.x[PE], one.x[PSI] = bank.start[0], bank.start[1], bank.start[4]
-        one.x[VN], one.x[VE] = bank.start[2], bank.start[3]
-        _begin_variances(one, given)
+        one.x[PSI] = bank.last[4]
+        one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
+        begin_at_fix(one, bank, given)
         one.uses_gyro = one.uses_accelerometers = -1.0
         one.since = bank.clock
         forget_tests(one)
-
-
-@inlined
-def _begin_variances(one, given):
-    """Write the variances of a filter that begins with a fix and a heading."""
-    one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
-    one.P[VN, VN] = one.P[VE, VE] = given.speed_var
-    one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
 
 
 @inlined

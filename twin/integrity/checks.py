@@ -155,9 +155,10 @@ def _watch(dt, cmd, memory, given):
     force, has_gps = int(bank.force_filter), False
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
+    headings = bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]
     watch_commands(
-        dt, cmd, (rate, u, v, bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]), forces, known, doubted, has_gps, memory.clock, memory.drives,
-        given.drives,
+        dt, cmd, (rate, u, v, *headings), forces, known, doubted, has_gps, memory.clock,
+        memory.drives, given.drives,
     )  # fmt: skip
     return has_gps
 

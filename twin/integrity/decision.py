@@ -6,7 +6,7 @@ If only one passes, it comes into force at once, else the best after :data:`DECI
 has seen what it leaves out, nothing has to be undone (solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
-:data:`RETURN_S`, twice as long after each relapse. While a GPS is left out, one more filter begins
+:data:`RETURN_S`. While a GPS is left out, one more filter begins
 afresh from all sensors. If it passes for :data:`FRESH_S`, dead reckoning had drifted, and it wins.
 """
 
@@ -31,7 +31,7 @@ from twin.integrity.bank import (
     SENSED,
     SILENT_S,
     STATES,
-    VN,
+    begin_at_fix,
     convert,
     forget_tests,
 )
@@ -44,8 +44,6 @@ DECISION = np.dtype(
         ("in_doubt", "f8"),  # 1 while the filter in force fails
         ("failing_since", "f8"),  # clock at which it began to; below 0 it passes
         ("decided", "f8"),  # clock of the last decision, s
-        ("relapses", "f8"),  # decisions that came soon after the one before
-        ("dwell", "f8"),  # how long filter 0 must pass, s
     ]
 )
 """What is remembered of decisions."""
@@ -69,14 +67,8 @@ LOST_SD_M = 100.0
 LOST_HEADING_SD_RAD = 0.7
 """Standard deviation of a heading of which hardly anything is known."""
 
-RETURN_S = 2.0
-"""What is left out is used again after filter 0 has passed for so long ..."""
-
-RETURN_MAX_S = 20.0
-"""... twice as long after each relapse, and so long at most ..."""
-
-RELAPSE_S = 60.0
-"""... where a relapse follows the decision before within so long."""
+RETURN_S = 4.0
+"""What is left out is used again after filter 0 has passed for so long."""
 
 FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
@@ -89,9 +81,6 @@ RENEW_S = 12.0
 
 PASSES_WELL = 0.5
 """Ratio below which a filter passes with a margin: what returns must."""
-
-FAILS_PLAINLY = 9.0
-"""Ratio above which a failure is decided at once."""
 
 NO_GPS, NO_COMPASS, NO_GYRO = 3, 4, 5
 """Filters that leave these out."""
@@ -178,15 +167,8 @@ def _best(bank, force, yaw_witness):
 @kernel
 def _begin_fresh(bank, force, given):
     """Let the fresh filter begin with heading and biases of the one in force, and with the fix."""
-    fresh = bank.filters[FRESH]
-    copy_filter(bank.filters[force], fresh, FRESH, bank.clock, given)
-    for i in range(4):
-        for j in range(STATES):
-            fresh.P[i, j] = fresh.P[j, i] = 0.0
-        fresh.x[i] = bank.start[i]
-    fresh.P[PN, PN] = fresh.P[PE, PE] = 4.0 * given.fix_var
-    for i in range(2):
-        fresh.P[VN + i, VN + i] = given.speed_var
+    copy_filter(bank.filters[force], bank.filters[FRESH], FRESH, bank.clock, given)
+    begin_at_fix(bank.filters[FRESH], bank, given)
 
 
 @inlined
@@ -206,10 +188,8 @@ def _begin_anew(bank, given):
         for i in range(STATES):
             for j in range(STATES):
                 one.P[i, j] = 0.0
-        if not math.isnan(bank.start[0]):
-            one.x[PN], one.x[PE] = bank.start[0], bank.start[1]
+        begin_at_fix(one, bank, given)
         one.P[PN, PN] = one.P[PE, PE] = LOST_SD_M**2
-        one.P[VN, VN] = one.P[VN + 1, VN + 1] = given.speed_var
         one.P[PSI, PSI] = LOST_HEADING_SD_RAD**2
         one.P[A1, A1] = one.P[A2, A2] = given.accel_bias_var
         one.uses_gyro = one.uses_accelerometers = -1.0
@@ -228,12 +208,8 @@ def _leave_out(bank, state, force, yaw_witness, given):
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
-    soon = waited >= SINGLE_S or filters[force].ratio >= FAILS_PLAINLY
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
-    if best >= 0 and ((soon and certain) or waited > DECIDE_S):
-        relapsed = now - state.decided < RELAPSE_S
-        state.relapses = state.relapses + 1.0 if relapsed else 0.0
-        state.dwell = min(RETURN_S * 2.0**state.relapses, RETURN_MAX_S)
+    if best >= 0 and waited > (SINGLE_S if certain else DECIDE_S):
         state.decided, state.failing_since, state.in_doubt = now, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
@@ -269,13 +245,12 @@ def _use_again(bank, state, force, given):
     full, now = bank.filters[0], bank.clock
     lasted = now - full.since
     if full.ratio >= 1.0:
-        state.dwell = min(max(state.dwell, 2.0 * lasted), RETURN_MAX_S)
         copy_filter(bank.filters[force], full, 0, now, given)
         return False
-    if lasted <= state.dwell or full.ratio >= PASSES_WELL:
+    if lasted <= RETURN_S or full.ratio >= PASSES_WELL:
         return False
     for aid in range(SENSED):
-        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * state.dwell:
+        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * RETURN_S:
             return False  # it has not spoken meanwhile
     bank.force_filter = 0.0
     for k in range(1, FRESH):
@@ -287,7 +262,8 @@ def _use_again(bank, state, force, given):
 def decide(bank, state, yaw_witness, given):
     """Choose the filter in force after an epoch; return whether it changed.
 
-    ``state`` is the record of the decision, ``yaw_witness`` is the log-likelihood of the turns by compass over that of those by gyro.
+    ``state`` is the record of the decision, ``yaw_witness`` the log-likelihood of the turns by
+    compass over that of those by gyro.
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
     state.in_doubt = 0.0
