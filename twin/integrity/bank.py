@@ -42,7 +42,6 @@ __all__ = [
     "BANK",
     "BANK_SETTINGS",
     "FILTERS",
-    "FRESH",
     "LEFT_OUT",
     "LEVEL_START",
     "advance_bank",
@@ -75,12 +74,11 @@ LEFT_OUT = np.array(
         [0.0, 0.0, 1.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 1.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0],
     ]
 )
-"""What each filter leaves out: nothing, one sensor, or one device. The last begins afresh."""
+"""What each filter leaves out: nothing, one sensor, or the GPS."""
 
-FILTERS, FRESH = len(LEFT_OUT), len(LEFT_OUT) - 1
+FILTERS = len(LEFT_OUT)
 
 STATES = 8
 PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
@@ -697,8 +695,7 @@ def advance_bank(dt, z, bank, given, work):
     for i in range(2):
         bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
     sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
-    # the fresh filter is asked for only where a GPS is left out
-    for k in range(FILTERS if 0.0 < bank.force_filter <= VELOCITY + 2.0 else FRESH):
+    for k in range(FILTERS):
         _advance_filter(k, bank, given, sound, work)
     _learn_motion(bank)
     bank.span = bank.gyro[0] = bank.gyro[1] = 0.0

@@ -89,7 +89,7 @@ def _all_statuses(memory):
 def _may_be_at_fault(bank, sensor):
     """Return whether a filter passes that leaves a sensor out."""
     found = False
-    for k in range(1, LEFT_OUT.shape[0] - 1):
+    for k in range(1, LEFT_OUT.shape[0]):
         left = LEFT_OUT[k, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[k, 0] > 0.0)
         found = found or (left and bank.filters[k].ratio < 1.0)
     return found

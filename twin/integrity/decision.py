@@ -6,8 +6,8 @@ If only one passes, it comes into force at once, else the best after :data:`DECI
 has seen what it leaves out, nothing has to be undone (solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
-:data:`RETURN_S`. While a GPS is left out, one more filter begins
-afresh from all sensors. If it passes for :data:`FRESH_S`, dead reckoning had drifted, and it wins.
+:data:`RETURN_S`. Where it fails and a GPS is left out, it begins next
+with the fix. If it passes for :data:`FRESH_S` then, dead reckoning had drifted.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from twin.integrity.bank import (
     AIDS,
     FILTERS,
     FIXES,
-    FRESH,
     GYRO,
     LEFT_OUT,
     PE,
@@ -43,7 +42,7 @@ DECISION = np.dtype(
     [
         ("in_doubt", "f8"),  # 1 while the filter in force fails
         ("failing_since", "f8"),  # clock at which it began to; below 0 it passes
-        ("decided", "f8"),  # clock of the last decision, s
+        ("afresh", "f8"),  # 1 where filter 0 began from a GPS that is left out
     ]
 )
 """What is remembered of decisions."""
@@ -106,7 +105,7 @@ def copy_filter(source, target, k, clock, given):
 @kernel
 def _is_minimal(bank, k, force):
     """Return whether no filter that leaves out less than filter k passes."""
-    for other in range(FRESH):
+    for other in range(FILTERS):
         if other in (k, force) or bank.filters[other].ratio >= 1.0:
             continue
         part = True
@@ -133,16 +132,16 @@ def _best(bank, force, yaw_witness):
     sensors that both use.
     """
     device = False
-    for k in range(FRESH):
+    for k in range(FILTERS):
         device = device or _is_candidate(bank, k, force, False)
     device = not device
     count, best, lead = 0, -1, math.inf
-    for k in range(FRESH):
+    for k in range(FILTERS):
         if not _is_candidate(bank, k, force, device):
             continue
         count += 1
         least = math.inf
-        for other in range(FRESH):
+        for other in range(FILTERS):
             if other == k or not _is_candidate(bank, other, force, device):
                 continue
             ahead = 0.0
@@ -162,13 +161,6 @@ def _best(bank, force, yaw_witness):
         if best < 0 or least > lead:
             best, lead = k, least
     return count, best, lead
-
-
-@kernel
-def _begin_fresh(bank, force, given):
-    """Let the fresh filter begin with heading and biases of the one in force, and with the fix."""
-    copy_filter(bank.filters[force], bank.filters[FRESH], FRESH, bank.clock, given)
-    begin_at_fix(bank.filters[FRESH], bank, given)
 
 
 @inlined
@@ -210,7 +202,7 @@ def _leave_out(bank, state, force, yaw_witness, given):
     waited = now - state.failing_since
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
     if best >= 0 and waited > (SINGLE_S if certain else DECIDE_S):
-        state.decided, state.failing_since, state.in_doubt = now, -1.0, 0.0
+        state.afresh, state.failing_since, state.in_doubt = 0.0, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
             copy_filter(filters[best], filters[0], 0, now, given)
@@ -223,37 +215,26 @@ def _leave_out(bank, state, force, yaw_witness, given):
 
 
 @kernel
-def _use_fresh(bank, state, force, given):
-    """Begin the fresh filter where a GPS is left out; return whether all goes on from it."""
-    fresh, now = bank.filters[FRESH], bank.clock
-    if fresh.ratio >= 1.0 or fresh.since <= state.decided:
-        if bank.age[FIXES] < given.gps_latency + 1.0:
-            _begin_fresh(bank, force, given)
-        return False
-    lasted = now - fresh.since > FRESH_S and fresh.seen[FIXES] > 0.5 * FRESH_S
-    if not (lasted and fresh.ratio < PASSES_WELL):
-        return False
-    for k in range(FRESH):
-        copy_filter(fresh, bank.filters[k], k, now, given)
-    bank.force_filter, state.decided = 0.0, now
-    return True
-
-
-@kernel
 def _use_again(bank, state, force, given):
     """Return whether what was left out is used again, as filter 0 has passed with it."""
     full, now = bank.filters[0], bank.clock
     lasted = now - full.since
     if full.ratio >= 1.0:
+        # in turn from the filter in force and from a GPS that is left out
+        has_fix = LEFT_OUT[force, FIXES] > 0.0 and bank.age[FIXES] < given.gps_latency + 1.0
+        state.afresh = 1.0 - state.afresh if has_fix else 0.0
         copy_filter(bank.filters[force], full, 0, now, given)
+        if state.afresh > 0.0:
+            begin_at_fix(full, bank, given)
         return False
-    if lasted <= RETURN_S or full.ratio >= PASSES_WELL:
+    dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
+    if lasted <= dwell or full.ratio >= PASSES_WELL:
         return False
     for aid in range(SENSED):
-        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * RETURN_S:
+        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * dwell:
             return False  # it has not spoken meanwhile
     bank.force_filter = 0.0
-    for k in range(1, FRESH):
+    for k in range(1, FILTERS):
         copy_filter(full, bank.filters[k], k, now, given)
     return True
 
@@ -270,11 +251,9 @@ def decide(bank, state, yaw_witness, given):
     if filters[force].ratio >= 1.0:
         return _leave_out(bank, state, force, yaw_witness, given)
     state.failing_since = -1.0
-    if 0 < force <= NO_GPS and _use_fresh(bank, state, force, given):
-        return True
     if force != 0 and _use_again(bank, state, force, given):
         return True
-    for k in range(1, FRESH):
+    for k in range(1, FILTERS):
         lasted = now - filters[k].since
         renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > RENEW_S + k
         if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > RESYNC_S)):

@@ -158,6 +158,5 @@ def initial_integrity(particulars: Particulars) -> Array:
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
     record["last"] = math.nan
     record["decision"]["failing_since"] = -1.0
-    record["decision"]["decided"] = -math.inf
     record["drives"] = initial_drives(particulars).view(DRIVES)[0]
     return memory
