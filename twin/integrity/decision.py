@@ -72,6 +72,9 @@ RETURN_S = 4.0
 FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
 
+DRIFT_SD_MAX = 20.0
+"""... and if it says that dead reckoning is off by no more than so many standard deviations."""
+
 RESYNC_S = 5.0
 """A filter that is not in force and fails goes on from the one in force after so long."""
 
@@ -214,6 +217,13 @@ def _leave_out(bank, state, force, yaw_witness, given):
     return False
 
 
+@inlined
+def _may_have_drifted(fresh, reckoned):
+    """Return whether dead reckoning may be so wrong as a filter that began from the GPS says."""
+    separation = math.hypot(fresh.x[PN] - reckoned.x[PN], fresh.x[PE] - reckoned.x[PE])
+    return separation < DRIFT_SD_MAX * math.sqrt(reckoned.P[PN, PN] + reckoned.P[PE, PE])
+
+
 @kernel
 def _use_again(bank, state, force, given):
     """Return whether what was left out is used again, as filter 0 has passed with it."""
@@ -229,6 +239,8 @@ def _use_again(bank, state, force, given):
         return False
     dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
     if lasted <= dwell or full.ratio >= PASSES_WELL:
+        return False
+    if state.afresh > 0.0 and not _may_have_drifted(full, bank.filters[force]):
         return False
     for aid in range(SENSED):
         if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * dwell:
