@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.particulars import GRAVITY, Particulars
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
@@ -414,9 +415,9 @@ def _numbers(aid):
 
 
 @kernel
-def _take(one, aid, bank, age, variance, span, rate, north, east, given, gain):
+def _take(one, aid, bank, age, variance, span, rate, north, east, given):
     """Test and correct a filter by an aid."""
-    numbers, level = _numbers(aid), bank.level[aid, 0]
+    numbers, level, gain = _numbers(aid), bank.level[aid, 0], alloca_f64(STATES)
     w0 = w1 = logarithm = 0.0
     for k in range(numbers):
         acceleration, R = north if k == 0 else east, variance[k]
@@ -619,7 +620,7 @@ def _cover_gap(one, row, bank, given):
 
 
 @kernel
-def _advance_filter(k, bank, given, sound, gain):
+def _advance_filter(k, bank, given, sound):
     """Predict filter k over the epoch, test it, and correct it."""
     one, T, row = bank.filters[k], bank.span, bank.row
     gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
@@ -647,7 +648,7 @@ def _advance_filter(k, bank, given, sound, gain):
             variance = (bank.push_var[0], bank.push_var[1])
         span = max(bank.interval[aid], T)
         age = bank.age_sum[aid] if aid < SENSED else 0.0
-        _take(one, aid, bank, age, variance, span, rate, north, east, given, gain)
+        _take(one, aid, bank, age, variance, span, rate, north, east, given)
         if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
@@ -678,7 +679,7 @@ def _learn_motion(bank):
 
 
 @kernel
-def advance_bank(dt, z, bank, given, work):
+def advance_bank(dt, z, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
     z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
@@ -696,7 +697,7 @@ def advance_bank(dt, z, bank, given, work):
         bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
     sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
     for k in range(FILTERS):
-        _advance_filter(k, bank, given, sound, work)
+        _advance_filter(k, bank, given, sound)
     _learn_motion(bank)
     bank.span = bank.gyro[0] = bank.gyro[1] = 0.0
     for j in range(5):

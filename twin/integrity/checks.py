@@ -281,7 +281,7 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     memory.switched = 0.0
     has_gps = _watch(dt, cmd, memory, given)
     _aid_bank(memory, has_gps, given)
-    if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
+    if advance_bank(dt, memory.z, bank, given.bank):
         drives = memory.drives
         switched = decide(bank, memory.decision, drives.yaw_witness, given.bank)
         if switched:

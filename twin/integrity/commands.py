@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.particulars import Particulars
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
@@ -190,9 +191,6 @@ DRIVES = np.dtype(
         ("yaw_var", "f8"),  # variance of what it is wrong by
         ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
         ("yaw_witness", "f8"),  # log-likelihood of the turns by compass over that of those by gyro
-        ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
-        ("gain", "f8", TERMS),  # scratch
-        ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
     ]
 )
 """What the checks of the commands remember; nominal units where none are stated."""
@@ -248,18 +246,18 @@ def _limited(motion):
 
 
 @inlined
-def _write_rows(drives, yaw, surge, sway, has_gps, given):
-    """Write the regressors of all hypotheses."""
-    for h in range(HYPOTHESES):
-        row, mean = drives.row[h], drives.sum
-        thrust = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
-        moment = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
+def _write_row(row, axis, h, yaw, surge, sway, drives, given):
+    """Write the regressors of an axis under a hypothesis."""
+    mean = drives.sum
+    row[0], row[1], row[5] = yaw, yaw * abs(yaw), 1.0
+    if axis == YAW:
         difference = EFFECTS[h, 2, 0] * mean[0] + EFFECTS[h, 2, 1] * mean[1]
-        u = surge if has_gps else drives.surges[h]
-        row[YAW, 0], row[YAW, 1], row[YAW, 2] = yaw, yaw * abs(yaw), moment
-        row[YAW, 3], row[YAW, 4], row[YAW, 5] = difference * given.sides, u * sway, 1.0
-        row[SURGE, 0], row[SURGE, 1], row[SURGE, 2] = u, u * abs(u), thrust
-        row[SURGE, 3], row[SURGE, 4], row[SURGE, 5] = yaw * yaw, sway * yaw, 0.0
+        row[2] = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
+        row[3], row[4] = difference * given.sides, surge * sway
+    else:
+        row[0], row[1], row[5] = surge, surge * abs(surge), 0.0
+        row[2] = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
+        row[3], row[4] = yaw * yaw, sway * yaw
 
 
 @inlined
@@ -272,9 +270,9 @@ def _change(drives, axis, row):
 
 
 @inlined
-def _spread(drives, axis, h, given):
+def _spread(drives, axis, h, row, given):
     """Return the variance of the change of an axis by a hypothesis."""
-    S, row, theta = drives.variance[axis], drives.row[h, axis], drives.theta[axis]
+    S, theta = drives.variance[axis], drives.theta[axis]
     for i in range(TERMS):
         part = 0.0
         for j in range(TERMS):
@@ -303,9 +301,10 @@ def _weight(drives, axis):
 
 
 @kernel
-def _learn(drives, axis, h, change):
+def _learn(drives, axis, h, change, sway, given):
     """Learn from the change of an axis under a hypothesis."""
-    row, P, gain = drives.row[h, axis], drives.P[axis], drives.gain
+    row, gain, P = alloca_f64(TERMS), alloca_f64(TERMS), drives.P[axis]
+    _write_row(row, axis, h, drives.begin[YAW], drives.begin[SURGE], sway, drives, given)
     S = drives.variance[axis]
     for i in range(TERMS):
         gain[i] = 0.0
@@ -348,37 +347,39 @@ def _put_in_force(drives, h, now):
         drives.surges[k] = drives.surges[h]
 
 
-@inlined
-def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
+@kernel
+def _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all):
     """Write the log-likelihood of a step by each hypothesis: of yaw alone, and of all."""
+    row = alloca_f64(TERMS)
     for h in range(HYPOTHESES):
-        total = 0.0
-        for axis in range(axes):
-            change = _change(drives, axis, drives.row[h, axis])
-            S = _spread(drives, axis, h, given)
-            total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
+        u, total = drives.begin[SURGE] if has_gps else drives.surges[h], 0.0
+        for axis in range(2):
+            _write_row(row, axis, h, drives.begin[YAW], u, sway, drives, given)
+            change = _change(drives, axis, row)
+            if axis < axes:
+                S = _spread(drives, axis, h, row, given)
+                total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
             if axis == YAW:
-                drives.likelihood[0, h] = total
-        if not has_gps:
-            if axes > SURGE:
-                # to starboard the accelerometers measure the turn at the surge of the hypothesis
-                error = changes[2] - drives.surges[h] * turned
-                S = max(drives.force_var[1], RESIDUAL_SD_MIN**2)
-                total += _log_likelihood(error, S)
-            change = _change(drives, SURGE, drives.row[h, SURGE])
-            drives.surges[h] = _limited(drives.surges[h] + change)
-        drives.likelihood[1, h] = total
+                by_yaw[h] = total
+            elif not has_gps:
+                if axes > SURGE:
+                    # to starboard accelerometers measure the turn at the surge of the hypothesis
+                    error = changes[2] - u * turned
+                    total += _log_likelihood(error, max(drives.force_var[1], RESIDUAL_SD_MIN**2))
+                drives.surges[h] = _limited(u + change)
+        by_all[h] = total
 
 
 @kernel
-def _weigh(drives, changes, turned, axes, has_gps, now, given):
+def _weigh(drives, changes, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
     ``turned`` is that of the heading, rad.
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
-    _write_likelihoods(drives, changes, turned, axes, has_gps, given)
+    by_yaw, by_all = alloca_f64(HYPOTHESES), alloca_f64(HYPOTHESES)
+    _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all)
     drives.steps += 1.0
     strongest = force
     if trained:
@@ -387,8 +388,10 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
                 drives.evidence[h] = 0.0
             else:
                 # without GPS, accelerometers at fault would be commands that make anything
-                part = drives.likelihood[0 if h == UNKNOWN and not has_gps else 1]
-                more = min(part[h] - part[force], DECIDED) - DRIFT
+                more = by_all[h] - by_all[force]
+                if h == UNKNOWN and not has_gps:
+                    more = by_yaw[h] - by_yaw[force]
+                more = min(more, DECIDED) - DRIFT
                 drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
@@ -406,19 +409,18 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
         for axis in range(2):
-            _learn(drives, axis, force, changes[axis])
+            _learn(drives, axis, force, changes[axis], sway, given)
     return suspected
 
 
-@inlined
+@kernel
 def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
     """Hold turns by gyro and by compass against that by the commands alone.
 
     ``gyro`` is the yaw rate at the end of the step.
     """
-    before = drives.yaw
-    row = drives.row[h, YAW]
-    row[0], row[1], row[4] = drives.yaw, drives.yaw * abs(drives.yaw), surge * sway
+    before, row = drives.yaw, alloca_f64(TERMS)
+    _write_row(row, YAW, h, before, surge, sway, drives, given)
     drives.yaw = _limited(drives.yaw + _change(drives, YAW, row))
     said, S = 0.5 * (before + drives.yaw), max(drives.yaw_var, RESIDUAL_SD_MIN**2)
     by_compass = wrap(motion[4] - drives.headings[1]) / span * given.time - said
@@ -430,14 +432,14 @@ def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
         drives.yaw += span / FOLLOW_S * error
 
 
-@inlined
-def _say_push(drives, surge, changes, sway, turned, span, h, has_gps):
+@kernel
+def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
     """Say what the commands make forward and to starboard in a step; learn how wrong it is.
 
     ``surge`` is that by the commands alone when the step began.
     """
-    row = drives.row[h, SURGE]
-    row[0], row[1] = surge, surge * abs(surge)
+    row = alloca_f64(TERMS)
+    _write_row(row, SURGE, h, drives.begin[YAW], surge, sway, drives, given)
     share = span / FORCE_TIME_S
     drives.push[0], drives.push[1] = _change(drives, SURGE, row), surge * turned
     for axis in range(2):
@@ -449,8 +451,8 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps):
     drives.length, drives.said = span, 1.0
 
 
-@inlined
-def _follow(drives, yaw, surge, sway, span, trained):
+@kernel
+def _follow(drives, yaw, surge, sway, span, trained, given):
     """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
     fade = 1.0 - 1.0 / DRIFT_STEPS
     drives.drift[0] = fade * drives.drift[0] + sway * yaw
@@ -460,7 +462,9 @@ def _follow(drives, yaw, surge, sway, span, trained):
     h = int(drives.hypothesis)
     own = surge
     if trained:
-        own = drives.surges[h] + _change(drives, SURGE, drives.row[h, SURGE])
+        row = alloca_f64(TERMS)
+        _write_row(row, SURGE, h, drives.begin[YAW], drives.surges[h], sway, drives, given)
+        own = drives.surges[h] + _change(drives, SURGE, row)
         own = _limited(own + span / FOLLOW_S * (surge - own))
     for k in range(HYPOTHESES):
         drives.surges[k] = own
@@ -498,21 +502,20 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     change = surge - drives.begin[SURGE] if has_gps else forces[0]
     changes = (yaw - drives.begin[YAW], change, forces[1])
     trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
-    _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
     suspected = True
     if not doubted:
         drives.yaw_witness = 0.0
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
-        suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
+        suspected = _weigh(drives, changes, turned, sway, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
         if measured:
             ahead = (changes[0], forces[0], forces[1])
-            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted)
+            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given)
     if has_gps and not doubted:
-        _follow(drives, yaw, surge, sway, span, trained)
+        _follow(drives, yaw, surge, sway, span, trained, given)
     return not suspected and drives.hypothesis == SOUND
 
 

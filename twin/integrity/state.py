@@ -107,7 +107,6 @@ INTEGRITY = np.dtype(
         ("switched", "f8"),  # 1 in a row after which another filter is in force
         ("restart", RESTART),  # where the navigation begins again then
         ("wind", WIND_CHECK),
-        ("work", "f8", 8),  # scratch
         ("z", "f8", 8),  # scratch: samples of the row that may be used
     ]
 )
