@@ -26,22 +26,14 @@ from twin.cli.common import (
     radians,
     write_text,
 )
-from twin.cli.link import (
-    ExternalOption,
-    MaxSdOption,
-    ResumeOption,
-    ViewOption,
-    ViewPortOption,
-    counted,
-    navigation_of,
-    say,
-)
+from twin.cli.link import MaxSdOption, counted, say
 from twin.digital_twin import Twin
+from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of, unmirrored
 from twin.logs.datum import Datum
 from twin.logs.log import Log, sibling_path
-from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
+from twin.predictors.registry import PREDICTORS, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from usv_gym.sitl.backend import Backend, port_of
 from usv_gym.sitl.parameters import autopilot_parameters, parameter_text
@@ -70,9 +62,7 @@ def sitl_command(
         str | None,
         typer.Option(help=f"Predictor of the twin ({', '.join(PREDICTORS)}). Default: no twin."),
     ] = None,
-    external: ExternalOption = "odometry",
     max_sd: MaxSdOption = 20.0,
-    resume: ResumeOption = False,
     mavlink: Annotated[
         str,
         typer.Option(
@@ -117,8 +107,6 @@ def sitl_command(
         Path | None,
         typer.Option("--out", "-o", help="Log to write, with the truth; events beside it."),
     ] = None,
-    view: ViewOption = False,
-    view_port: ViewPortOption = 8080,
 ) -> None:
     """Be the physics of ArduPilot: our ship and sea answer its JSON interface.
 
@@ -128,7 +116,6 @@ def sitl_command(
     boat = Vessel.load(vessel)
     if print_params:
         given = autopilot_parameters(boat, cruise, external=twin is not None)
-        given |= _for(external) if twin is not None else {}
         console.print(parameter_text(boat, given), end="", highlight=False, soft_wrap=True)
         return
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
@@ -142,16 +129,12 @@ def sitl_command(
         1, boat, state, suite=suite, faults=parsed, dof=6, dt=step, dt_physics=step
     )
     backend = Backend(simulation, seed, heading=math.radians(heading), moored=moored)
-    model = None
-    if view and duration:
-        raise OptionError("--duration ends a run without a page; with --view, Ctrl-C does")
-    if twin is not None or view:
-        model = _twin(boat, twin or DEFAULT, sensors)
-    navigation = navigation_of(external, max_sd, resume) if twin is not None else None
-    latitude, longitude = _place(home)
     logs = _Logs(out, boat, sensors)
-    if navigation is not None:
-        navigation.note = logs.event
+    model, navigation = None, None
+    if twin is not None:
+        model = _twin(boat, twin, sensors)
+        navigation = ExternalNavigation(logs.event, max_sd_m=max_sd)
+    latitude, longitude = _place(home)
     port = None
     if navigation is not None or parsed:
         port = MavlinkPort(mavlink, AutopilotPeer() if navigation is None else navigation.peer)
@@ -166,10 +149,7 @@ def sitl_command(
         )
         _announce(server, address, home, mavlink if port is not None else None, instance)
         try:
-            if view and model is not None:
-                _show(server, run, model, out, view_port)
-            else:
-                _serve(server, duration)
+            _serve(server, duration)
         except KeyboardInterrupt:
             console.print("stopped")
         finally:
@@ -193,13 +173,6 @@ def _place(text: str) -> tuple[float, float]:
     except ValueError:
         raise OptionError(f"--home {text}: write LAT,LON in degrees, as 59.9,10.7") from None
     return latitude, longitude
-
-
-def _for(external: str) -> dict[str, float]:
-    """Return what a kind of external navigation needs beyond the source sets."""
-    if external == "position":
-        return {"EK3_SRC2_VELXY": 0}
-    return {"GPS1_TYPE": 14} if external == "gps-input" else {}
 
 
 def _twin(boat: Vessel, predictor: str, sensors: str) -> Twin:
@@ -235,16 +208,6 @@ def _serve(server: Server, duration: float) -> None:
     if spent > 0.0:
         factor = (backend.t - before) / spent
         console.print(f"{backend.t:.0f} s, {factor:.1f} times as fast as the clock")
-
-
-def _show(server: Server, run: AutopilotRun, twin: Twin, out: Path | None, port: int) -> None:
-    """Serve the page until Ctrl-C."""
-    from twin.cli.view import show_session
-    from twin.live.external.simulated import SitlSession
-    from twin.live.ui.access import Access
-
-    folder = Path() if out is None else out.parent
-    show_session(SitlSession(server, run, twin, folder), Access.of(LOOPBACK, (), None), port, False)
 
 
 @dataclasses.dataclass

@@ -45,7 +45,7 @@ class Viewer:
         check_host(host)
         self.session, self.frames = session, 0
         self.access = access or Access.of(host)
-        self.server: Any = start_server(self.access, port, session.report)
+        self.server: Any = start_server(self.access, port)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.scene = SceneView(self.server, boat(session))
         self.controls = controls_of(self.server, session)
