@@ -30,7 +30,7 @@ from twin.cli.common import (
 from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.nmea import NmeaFeed, NmeaReply
 from twin.live.protocols.sockets import needed
 from twin.logs.errors import LogError
 from twin.logs.log import Log
@@ -74,10 +74,7 @@ def view_command(
     ] = None,
     reply: Annotated[
         str | None,
-        typer.Option(
-            help="Address for the twin's estimate and prediction: udp://HOST:PORT. Default: the "
-            "sender's."
-        ),
+        typer.Option(help="Address to send the twin's estimate to as NMEA 0183: udp://HOST:PORT."),
     ] = None,
     vessel: Annotated[
         str | None,
@@ -131,12 +128,6 @@ def view_command(
             "new one.",
         ),
     ] = None,
-    allow_origin: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Further origin that may connect, as http://boat.local:8080; may be repeated."
-        ),
-    ] = None,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
     ] = 8080,
@@ -156,7 +147,7 @@ def view_command(
     from twin.live.ui.access import Access, check_host
 
     check_host(host)
-    access = Access.of(host, allow_origin or (), token)
+    access = Access.of(host, token)
     sources = ("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink), ("--policy", policy)
     given = [name for name, one in sources if one]
     if len(given) > 1:
@@ -167,11 +158,12 @@ def view_command(
     elif nmea is not None or mavlink is not None:
         twin, shown = feed_twin(vessel, predictor)
         if nmea is not None:
-            feed: Feed = NmeaFeed(nmea, twin.particulars, reply)
+            feed: Feed = NmeaFeed(nmea, twin.particulars)
         else:
             servos = Servos.of(twin.particulars, shaft_max, radians(steer_max))
-            feed = MavlinkFeed(str(mavlink), twin.particulars, reply, servos=servos)
-        session = FeedSession(feed, twin, shown, out)
+            feed = MavlinkFeed(str(mavlink), twin.particulars, servos=servos)
+        answer = None if reply is None else NmeaReply(reply)
+        session = FeedSession(feed, twin, shown, out, answer)
     elif policy is not None:
         options = {"sea": changing_sea(SeaState.named(sea), hs, wind, wind_from)}
         losses = parse_faults(faults, fault_start)
@@ -227,7 +219,8 @@ def show_session(session: Session, access: Access, port: int, browser: bool) -> 
         if not is_loopback(access.host):
             note(
                 f"{access.host} is open to other machines, without encryption: whoever has the "
-                f"token can see this boat, {session.offers}"
+                "token can see this boat, use the controls of its page, and record logs to the "
+                "folder of --out"
             )
             if "localhost" in viewer.url:
                 note("on another machine, put the address of this one for localhost")

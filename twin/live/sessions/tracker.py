@@ -20,7 +20,7 @@ from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
     "HORIZON",
-    "LOST_AFTER",
+    "LOST_AFTER_S",
     "PLAN_STEP",
     "History",
     "TwinMonitor",
@@ -45,8 +45,8 @@ FIXES, TRACK = 400, 1500
 HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
 """Time between two rows of the curves at first, s, and how many rows make them half as dense."""
 
-LOST_AFTER = 3.0, 0.5
-"""A sensor counts as lost after so many nominal intervals, and s at least."""
+INTERVALS_MISSED, LOST_AFTER_S = 3.0, 0.5
+"""A sensor counts as lost after so many nominal intervals, and at least so much time."""
 
 SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
@@ -69,8 +69,7 @@ def overlay_of(prediction: Prediction) -> TwinOverlay:
 
 def sensor_timeout(interval: float) -> float:
     """Return the time without a sample, s, after which a sensor of that interval counts as lost."""
-    times, least = LOST_AFTER
-    return max(times * interval, least)
+    return max(INTERVALS_MISSED * interval, LOST_AFTER_S)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,10 +157,6 @@ class SceneView:
             np.broadcast_to(top + share * (horizon - top), (64, 4, 3)).astype(np.uint8)
         )
 
-    def remove(self) -> None:
-        """Take the scene away, for that of another boat."""
-        self.root.remove()
-
     def show(self, now: Snapshot) -> None:
         """Make the scene like a snapshot."""
         if np.isfinite(now.boat[[fr.X, fr.Y]]).all():
@@ -185,8 +181,7 @@ class SceneView:
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
         self.lost.text = ", ".join(losses)
         self.lost.position = (*place.tolist(), -1.0 * self.length)
-        motion = None if now.prediction is None else now.prediction.motion
-        self._show_overlay(now.overlay, motion, height)
+        self._show_overlay(now.overlay, now.motion, height)
         self._draw(self.track, now.track, height)
         self._draw(self.ahead, now.ahead, height, 0.075)
         self._draw(self.path, nearest(now.path, place), height)

@@ -58,9 +58,7 @@ def _checked_by(access: Access) -> Iterator[list[int]]:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             return _answer(access, process_request, connection, request)
 
-        return plain(
-            handler, *arguments, **options, process_request=answer, logger=silent
-        )
+        return plain(handler, *arguments, **options, process_request=answer, logger=silent)
 
     websockets_server.serve = serve  # type: ignore[assignment, misc]
     try:
