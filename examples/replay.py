@@ -183,7 +183,7 @@ def place_texts(place: tuple[float, float]) -> list[str]:
     for angle, sides, digits in zip(place, ("NS", "EW"), (2, 3), strict=True):
         degrees, rest = divmod(round(abs(angle) * 60e7), 600000000)
         minutes, part = divmod(rest, 10000000)
-        texts += [f"{degrees:0{digits}d}{minutes:02d}.{part:07d}", sides[angle < 0.0]]
+        texts += [f"{degrees:0{digits}d}{minutes:02d}.{part:07d}", sides[int(angle < 0.0)]]
     return texts
 
 

@@ -16,6 +16,7 @@ from twin.cli.common import (
     FaultStartOption,
     HsOption,
     MappingOption,
+    OptionError,
     PredictorOption,
     SeaOption,
     SensorsOption,
@@ -152,6 +153,8 @@ def view_command(
     given = [name for name, one in sources if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
+    if reply is not None and nmea is None:
+        raise OptionError("--reply goes with --nmea; usv-twin link sends to an autopilot")
     session: Session
     if log is not None:
         session = _log_session(log, mapping, vessel, predictor, plan, out)

@@ -379,16 +379,14 @@ class NmeaReply:
         self._library = needed("pynmeagps")
         self._socket, self._target = open_socket(address, bind=False)
 
-    def send(self, feed: NmeaFeed, estimate: Estimate) -> None:
-        """Send an estimate; nothing goes out before the boat's place is known."""
-        if feed.plane is None or not (estimate.ready and np.isfinite(estimate.state).all()):
-            return
-        with contextlib.suppress(OSError):  # nobody listens there, or the line is full
-            data = self.encode(feed.plane, feed.stamp_of(estimate.t), estimate)
-            self._socket.sendto(data, self._target)
+    def send(self, plane: Plane, stamp: float, estimate: Estimate) -> None:
+        """Send an estimate at a time of day, s; nothing goes out before it is ready."""
+        if estimate.ready and np.isfinite(estimate.state).all():
+            with contextlib.suppress(OSError):  # nobody listens there, or the line is full
+                self._socket.sendto(self.encode(plane, stamp, estimate), self._target)
 
     def encode(self, plane: Plane, stamp: float, estimate: Estimate) -> bytes:
-        """Return the datagram of an estimate at a time of day, s."""
+        """Return the datagram of an estimate."""
         state = estimate.state
         latitude, longitude = map(float, plane.degrees(state[X], state[Y]))
         north, east = velocity_over_ground(state)

@@ -79,9 +79,9 @@ class FeedSession(Session):
         boat = measured_boat(monitor.measured, self._cmd)
         # no estimate goes out for a boat that is no longer heard of
         due = silence == 0.0 and now >= self._answered + REPLY_EVERY_S
-        if self.reply is not None and due:
-            self._answered = now
-            self.reply.send(self.feed, monitor.twin.estimate())
+        if self.reply is not None and self.feed.plane is not None and due:
+            self._answered, estimate = now, monitor.twin.estimate()
+            self.reply.send(self.feed.plane, self.feed.stamp_of(estimate.t), estimate)
         return self._seen(boat, silence, notes=self.notes)
 
     @property
