@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import signal
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -40,7 +39,7 @@ from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
-from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.schedule import changing_sea
@@ -105,9 +104,9 @@ def view_command(
     shaft_max: ShaftMaxOption = None,
     steer_max: SteerMaxOption = None,
     autopilot: Annotated[
-        str, typer.Option(help=f"off, {', '.join(MANOEUVRES)}, or path.")
+        str, typer.Option(help=f"Who steers a simulated boat: off, {', '.join(MANOEUVRES)}.")
     ] = "turn",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of sea, sensors and path.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
     speed: Annotated[
         float, typer.Option(min=0.1, max=10.0, help="Simulated seconds per second.")
     ] = 1.0,
@@ -132,9 +131,6 @@ def view_command(
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
     ] = 8080,
-    browser: Annotated[
-        bool, typer.Option("--open", help="Open it in this machine's browser.")
-    ] = False,
 ) -> None:
     """Show a boat and its twin in the browser, live and in three dimensions.
 
@@ -142,7 +138,6 @@ def view_command(
     Ctrl-C ends it; a log that is being recorded is written then.
     """
     needed("viser")  # before anything is compiled
-    from twin.live.sessions.autopilot import AUTOPILOTS
     from twin.live.sessions.feed import FeedSession
     from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
     from twin.live.ui.access import Access, check_host
@@ -174,10 +169,6 @@ def view_command(
         session = _policy_session(policy, out, vessel, **options, **own)
     else:
         boat = Vessel.load(vessel or "usv75")
-        if autopilot not in AUTOPILOTS:
-            raise ManoeuvreError(
-                f"no autopilot is called {autopilot!r}; known: {', '.join(AUTOPILOTS)}"
-            )
         setup = SimulationSetup(
             vessel=boat,
             sea=changing_sea(SeaState.named(sea), hs, wind, wind_from),
@@ -191,7 +182,7 @@ def view_command(
         for line in session.notes:
             note(line)
     session.set_scale(speed)
-    show_session(session, access, port, browser)
+    show_session(session, access, port)
 
 
 def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
@@ -207,7 +198,7 @@ def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) ->
     return PolicySession(agent, out, **trained_with([agent], given), **options)
 
 
-def show_session(session: Session, access: Access, port: int, browser: bool) -> None:
+def show_session(session: Session, access: Access, port: int) -> None:
     """Serve a session until Ctrl-C, or until it ends."""
     from twin.live.ui.access import is_loopback
     from twin.live.ui.viewer import Viewer
@@ -228,8 +219,6 @@ def show_session(session: Session, access: Access, port: int, browser: bool) -> 
             if "localhost" in viewer.url:
                 note("on another machine, put the address of this one for localhost")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False, soft_wrap=True)
-        if browser:
-            webbrowser.open(viewer.url)
         viewer.serve()
     except KeyboardInterrupt:
         console.print("stopped")

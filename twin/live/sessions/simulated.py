@@ -39,7 +39,7 @@ class SimulationSetup:
     vessel, sea, predictor, sensors
         As ``usv-twin simulate`` and ``identify`` take them.
     seed : int
-        Of sea, sensors, paths and random manoeuvres.
+        Of sea, sensors and random manoeuvres.
     dof : int
         Degrees of freedom of the ship.
     faults : sequence of Disturbance
@@ -96,8 +96,8 @@ class SimulatedSession(SailingSession):
         rng, self._sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
         self._gust_seed = int(self._sea_rng.integers(2**32))
         self.simulation.reset([0], [rng])
-        self.helm = Autopilot(setup.vessel, self.particulars.speed, helm_rng)
-        self.helm.hand_over(autopilot, 0.0, self.monitor.twin.predictor.state)
+        self.helm = Autopilot(setup.vessel, helm_rng)
+        self.helm.hand_over(autopilot, 0.0)
         self._take_row()
         self._anchor_now()
 
@@ -110,7 +110,7 @@ class SimulatedSession(SailingSession):
 
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
-        self.helm.hand_over(autopilot, self.t, self.monitor.twin.predictor.state)
+        self.helm.hand_over(autopilot, self.t)
 
     def change_sea(self, sea: SeaState, waves: bool = True) -> None:
         """Put the boat into another sea, or under another wind alone."""
@@ -122,7 +122,7 @@ class SimulatedSession(SailingSession):
 
     def _sail(self) -> bool:
         sim = self.simulation
-        cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
+        cmd = self.helm.command(self.t)
         try:
             sim.step(cmd[None])
         except RunawayError:
@@ -137,7 +137,7 @@ class SimulatedSession(SailingSession):
 
     def _look(self) -> Snapshot:
         state, sea = self.simulation.state[0].copy(), sea_of(self.simulation)
-        return self._seen(state, path=self.helm.path, sea=sea, notes=self.notes)
+        return self._seen(state, sea=sea, notes=self.notes)
 
     def _notes(self) -> tuple[str, ...]:
         """What a user should know of the vessel in this sea."""

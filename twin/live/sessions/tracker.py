@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import Twin
-from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_gym.envs.scene import TwinOverlay
@@ -118,11 +117,6 @@ class TwinMonitor:
         self._step = HISTORY_STEP
 
     @property
-    def particulars(self) -> Particulars:
-        """The boat as its twin knows it."""
-        return self.twin.particulars
-
-    @property
     def gps_age(self) -> float:
         """Time since the last fix, s; infinite before the first."""
         return self.t - self._fixed_at if math.isfinite(self._fixed_at) else math.inf
@@ -221,7 +215,7 @@ class TwinMonitor:
         else:
             s = self.twin.predictor.state
             self._place = float(s[0]), float(s[1])
-        far = SPACING * self.particulars.length
+        far = SPACING * self.twin.particulars.length
         there = math.isfinite(self._place[0])
         if there and (not self.track or math.dist(self.track[-1], self._place) > far):
             self.track.append(self._place)

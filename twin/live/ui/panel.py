@@ -60,7 +60,7 @@ class Controls(ABC):
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(LEFT)
         self.status = self.gui.add_html("")
-        self.gui.add_html(key(path=isinstance(session, SimulatedSession | PolicySession)))
+        self.gui.add_html(key(path=isinstance(session, PolicySession)))
         self._add_time()
         self.add()
 

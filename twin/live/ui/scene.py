@@ -61,8 +61,6 @@ STEPS, ACROSS = 40, 7
 
 RING = 72
 
-BEATS = 20.0
-
 
 class SceneView:
     """A scene of a server that is kept like the latest snapshot of a boat."""
@@ -72,8 +70,6 @@ class SceneView:
         self.scene.set_up_direction("+z")
         self._light()
         self.length = float(np.ptp(boat.whole().vertices[:, 0]))
-        self.spin = [0.0, 0.0]
-        self._last_t = math.nan
         self.place = np.zeros(2)
         thick, L = 0.03 * self.length, self.length
         add = self.scene
@@ -201,7 +197,7 @@ class SceneView:
         """Add the boat's parts; return the frame that they hang on."""
         frame = self.scene.add_frame("/sea/boat", show_axes=False)
         paths = {"": "/sea/boat"}
-        self._moving: list[tuple[Any, Any]] = []
+        self._steered: list[tuple[int, Any]] = []
         for part in self.boat.parts:
             paths[part.name] = f"{paths[part.parent]}/{part.name}"
             handle = self.scene.add_mesh_simple(
@@ -213,8 +209,8 @@ class SceneView:
                 position=part.position,
                 receive_shadow=False,
             )
-            if part.moves:
-                self._moving.append((part, handle))
+            if part.moves == "steer":
+                self._steered.append((part.unit, handle))
         return frame
 
     def _show_boat(self, now: Snapshot) -> None:
@@ -224,17 +220,8 @@ class SceneView:
             return
         self.hull.position = tuple(state[[fr.X, fr.Y, fr.Z]])
         self.hull.wxyz = attitude(*state[[fr.PHI, fr.THETA, fr.PSI]])
-        dt = now.t - self._last_t if now.t > self._last_t else 0.0
-        self._last_t = now.t
-        for unit in range(fr.UNITS):
-            # slower than in truth: at 20 frames a second a propeller would seem to stand
-            turns = state[fr.N_LEFT + unit] * dt / BEATS
-            self.spin[unit] = math.remainder(self.spin[unit] + 2.0 * math.pi * turns, 2.0 * math.pi)
-        for part, handle in self._moving:
-            if part.moves == "steer":
-                handle.wxyz = attitude(0.0, 0.0, -float(state[fr.DELTA_LEFT + part.unit]))
-            else:
-                handle.wxyz = attitude(self.spin[part.unit], 0.0, 0.0)
+        for unit, handle in self._steered:
+            handle.wxyz = attitude(0.0, 0.0, -float(state[fr.DELTA_LEFT + unit]))
 
     def _show_overlay(
         self,
