@@ -26,7 +26,6 @@ from twin.live.sessions.tracker import (
     overlay_of,
     sensor_timeout,
 )
-from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
 from usv_gym.envs.scene import TwinOverlay
@@ -85,11 +84,6 @@ class LogSession(Session):
         """Show another moment, s."""
         self.at = min(max(t, float(self.log.t[0])), self.done)
         self._anchor_now()
-
-    @property
-    def datum(self) -> Datum | None:
-        """That of the log."""
-        return self.log.datum
 
     @property
     def t(self) -> float:

@@ -187,12 +187,12 @@ class Session(ABC):
         return self.recorder is not None
 
     def record(self, on: bool) -> None:
-        """Begin to record a log, or end it; what cannot be written is kept."""
+        """Begin to record a log, or end it."""
         if on and self.recorder is None:
             self.recorder = Recorder(self.folder, self.particulars, with_truth=self.has_truth)
         elif not on and self.recorder is not None:
-            self.recorded = self.recorder.close() or self.recorded
-            self.recorder = None
+            recorder, self.recorder = self.recorder, None
+            self.recorded = recorder.close() or self.recorded
 
     @property
     def datum(self) -> Datum | None:
@@ -214,17 +214,15 @@ class Session(ABC):
         return 0 if recorder is None else recorder.rows
 
     def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
-        """Add a row to the log that is being recorded, if one is."""
-        if self.recorder is not None:
-            self.recorder.add(t, z, cmd, truth, self.datum)
-
-    def _flush(self) -> None:
-        """Write the rows that are due; what the disk does not take is kept, and reported."""
+        """Add a row to the log that is being recorded; one that the disk does not take ends."""
         if self.recorder is not None:
             try:
-                self.recorder.flush(now=False)
+                self.recorder.add(t, z, cmd, truth, self.datum)
             except OSError as error:
-                self.report(f"{_words(error)}; the rows are kept until it can be written")
+                path = self.recorder.path
+                with contextlib.suppress(OSError):
+                    self.record(False)
+                self.report(f"{path}: {error.strerror}; the log has ended there")
 
     def _run(self) -> None:
         due = time.monotonic()
@@ -232,7 +230,6 @@ class Session(ABC):
             while not self._stop.is_set():
                 self._obey()
                 self._advance()
-                self._flush()
                 now = time.monotonic()
                 if now >= due:
                     due = max(due + PUBLISHED, now)

@@ -27,7 +27,6 @@ __all__ = [
     "BLUE",
     "GREEN",
     "GREY",
-    "ORANGE",
     "PALE",
     "PURPLE",
     "RED",
@@ -40,7 +39,7 @@ Colour = tuple[int, int, int]
 
 # colours that people with any colour vision can tell apart
 # Source: Okabe and Ito (2008), Color Universal Design.
-BLUE, GREEN, RED, ORANGE = (0, 114, 178), (0, 158, 115), (213, 94, 0), (230, 159, 0)
+BLUE, GREEN, RED = (0, 114, 178), (0, 158, 115), (213, 94, 0)
 
 PURPLE, GREY, PALE = (150, 52, 116), (90, 96, 100), (255, 206, 120)
 
