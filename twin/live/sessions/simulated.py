@@ -94,7 +94,6 @@ class SimulatedSession(SailingSession):
             changing=True,
         )
         rng, self._sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
-        self._gust_seed = int(self._sea_rng.integers(2**32))
         self.simulation.reset([0], [rng])
         self.helm = Autopilot(setup.vessel, helm_rng)
         self.helm.hand_over(autopilot, 0.0)
@@ -112,13 +111,10 @@ class SimulatedSession(SailingSession):
         """Hand the helm over, from this moment on."""
         self.helm.hand_over(autopilot, self.t)
 
-    def change_sea(self, sea: SeaState, waves: bool = True) -> None:
-        """Put the boat into another sea, or under another wind alone."""
-        self.sea = sea
-        rng = np.random.default_rng(self._gust_seed) if not waves else self._sea_rng
-        self.simulation.change_sea(0, sea, rng, waves=waves)
-        if waves:
-            self.notes = self._notes()
+    def change_sea(self, sea: SeaState) -> None:
+        """Put the boat into another sea."""
+        self.simulation.change_sea(0, sea, self._sea_rng)
+        self.sea, self.notes = sea, self._notes()
 
     def _sail(self) -> bool:
         sim = self.simulation

@@ -25,7 +25,7 @@ from usv_gym.envs.scene import SDS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
-from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sea import SEA_STATES
 
 if TYPE_CHECKING:
     import viser
@@ -186,24 +186,12 @@ class SimulatedControls(LossControls):
         self._add_losses()
         self._button("restart", session.restart, key="R")
         with self.gui.add_folder("Weather", expand_by_default=False):
-            known = next(
-                (name for name, sea in SEA_STATES.items() if sea == session.sea), "as given"
-            )
-            names = tuple(
-                name for name, sea in SEA_STATES.items() if name != "calm" and not sea.schedule
-            )
-            self.sea = self.gui.add_dropdown(
-                "sea state",
-                names if known in names else (known, *names),
-                initial_value=known,
-            )
-            wind, wind_from = round(session.sea.wind, 1), session.sea.wind_from
-            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, wind)
-            degrees = round(math.degrees(wind_from)) % 360
-            self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
-            self.sea.on_update(lambda _: order(self._set_sea))
-            for slider in (self.wind, self.wind_from):
-                slider.on_update(lambda _: order(self._set_wind))
+            given = session.setup.sea
+            seas = {name: sea for name, sea in SEA_STATES.items() if not sea.schedule}
+            known = next((name for name, sea in seas.items() if sea == given), "as given")
+            self.seas = {known: given, **seas}
+            self.sea = self.gui.add_dropdown("sea state", tuple(self.seas), initial_value=known)
+            self.sea.on_update(lambda _: order(session.change_sea, self.seas[self.sea.value]))
 
     # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
     # side, and two quick presses of a key would move the slider only once.
@@ -225,25 +213,6 @@ class SimulatedControls(LossControls):
             slider.value = min(max(round(slider.value + step, 2), slider.min), slider.max)
 
         command.on_trigger(move)
-
-    def _chosen_sea(self) -> SeaState:
-        sea = SEA_STATES.get(self.sea.value, self.session.setup.sea)
-        if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
-            return sea
-        # a sea that changes by itself ends with the first change by hand
-        given = {"schedule": (), "hs": sea.hs} if sea.schedule else {}
-        wind_from = math.radians(self.wind_from.value)
-        return sea.replace(wind=float(self.wind.value), wind_from=wind_from, **given)
-
-    # In the session's thread, so that what fails is answered on the page.
-
-    def _set_wind(self) -> None:
-        self.session.change_sea(self._chosen_sea(), waves=False)
-
-    def _set_sea(self) -> None:
-        """Take over the wind that goes with a sea state."""
-        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.setup.sea).wind, 1)
-        self.session.change_sea(self._chosen_sea())
 
 
 class FeedControls(Controls):
