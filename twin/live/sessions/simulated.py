@@ -114,7 +114,8 @@ class SimulatedSession(SailingSession):
     def change_sea(self, sea: SeaState) -> None:
         """Put the boat into another sea."""
         self.simulation.change_sea(0, sea, self._sea_rng)
-        self.sea, self.notes = sea, self._notes()
+        self.sea = sea
+        self.notes = self._notes()
 
     def _sail(self) -> bool:
         sim = self.simulation
