@@ -1,7 +1,7 @@
 """Flights of the real ArduRover on our boats, with a minute without GPS.
 
-``python examples/autopilot/flights.py usv75 dsw-ukf-plus 1 2 3`` prints a line of JSON for each seed;
-``none`` in place of a predictor leaves the twin out. ``USV_TWIN_ARDUROVER`` is the path of
+``python examples/autopilot/flights.py usv75 dsw-ukf-plus 1 2 3`` prints a line of JSON for each
+seed; ``none`` in place of a predictor leaves the twin out. ``USV_TWIN_ARDUROVER`` is the path of
 ArduPilot's ``ardurover``, beside which lies its ``rover.parm``.
 """
 
