@@ -227,20 +227,6 @@ class Verdict:
         """The worst grade of the answers."""
         return _worst(answer.grade for answer in self.answers)
 
-    @property
-    def unfit(self) -> str:
-        """Why no prior of the boat should be made of this run; empty if it may be.
-
-        Sensors or commands are at fault, so that the parameters learned the fault, or the forecasts
-        are bad, so that the run may be of another boat.
-        """
-        reasons = []
-        for answer in self.answers:
-            turned = answer.about == "parameters" and answer.numbers.get("sign")
-            if answer.grade == BAD and (turned or answer.about in ("sensors", "forecast")):
-                reasons.append(f"{answer.about}: {answer.text}")
-        return "; ".join(reasons)
-
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as plain data."""
         return {

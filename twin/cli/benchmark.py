@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,7 +38,6 @@ from twin.cli.common import (
     WindOption,
     console,
     errors,
-    note,
     parse_list,
     parse_predictors,
     parse_seeds,
@@ -48,7 +46,7 @@ from twin.cli.common import (
     stopped,
     write_text,
 )
-from twin.cli.tables import print_results, print_scores
+from twin.cli.tables import print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
@@ -78,15 +76,6 @@ def benchmark_command(
             "after its origin, and that all are finite. Exit code 1: it fails."
         ),
     ] = None,
-    faults_matrix: Annotated[
-        bool,
-        typer.Option(
-            "--faults-matrix",
-            help="Only sail the faults of sensors, commands and thrusters that a twin must bear, "
-            "with GPS at 20, 5 and 1 Hz and without, and print how ukf does. --predictors and "
-            "--seeds [0-3] say what else.",
-        ),
-    ] = False,
     scenarios: Annotated[
         str | None,
         typer.Option(help=f"Comma-separated, of: {', '.join(SCENARIOS)}. [turn,zigzag]"),
@@ -176,9 +165,6 @@ def benchmark_command(
     ] = False,
     jobs: JobsOption = CPUS,
     backend: BackendOption = "loky",
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all tables that the report has.")
-    ] = False,
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
@@ -193,17 +179,13 @@ def benchmark_command(
     reported, and the others are scored.
 
     Prints a verdict: errors after 10 s in metres and degrees, with and without the loss, and over
-    those of persistence, best first. --verbose prints all tables; the report has them too.
+    those of persistence, best first. The report has all tables.
 
     Writes results.json, report.html, the pictures, and every run as a log for identify and
     predict. Ctrl-C keeps what is finished; the same command continues from there.
     """
     if check is not None:
         _check(check)
-        return
-    if faults_matrix:
-        given = "ukf" if predictors == ",".join(PREDICTORS) else predictors
-        _matrix(parse_predictors(given), parse_seeds(seeds or "0-3"), out, jobs)
         return
     check_backend(backend)
     asked = parse_predictors(predictors)
@@ -265,8 +247,6 @@ def benchmark_command(
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
     print_scores({**results, "notes": []})  # they were printed before the runs
-    if verbose:
-        print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
@@ -280,15 +260,9 @@ def benchmark_command(
     from twin.benchmark.report import write_report
 
     figures = runner.run_figures(settings, done)
-    with progress_bar(transient=True, console=errors) as progress:
-        bar = progress.add_task("drawing", total=None)
-
-        def drawn(name: str) -> None:
-            progress.update(bar, advance=1, description=name)
-
-        written = write_report(out, results, figures, drawn, jobs, pdf=pdf)
-    more = "" if verbose else "; --verbose prints all tables"
-    console.print(f"report: {written[0]}; numbers: {out / 'results.json'}{more}", soft_wrap=True)
+    with status("drawing"):
+        written = write_report(out, results, figures, pdf=pdf)
+    console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
 
 
 def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
@@ -348,26 +322,6 @@ def _check(name: str) -> None:
     console.print(
         f"{name}: {count} forecasts are finite, and use no row after their origin", highlight=False
     )
-
-
-def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: int) -> None:
-    """Sail the fault matrix, and print and write its tables."""
-    from twin.benchmark.fault_matrix import fault_runs, matrix_units, tables
-
-    out.mkdir(parents=True, exist_ok=True)
-    file, units, results = out / "fault_matrix.json", matrix_units(predictors, seeds), []
-    with progress_bar(TimeRemainingColumn()) as bar:
-        task = bar.add_task("fault matrix", total=len(units))
-        try:
-            for done, found in fault_runs(units, file, jobs=jobs):
-                results = found
-                bar.update(task, completed=done)
-        except KeyboardInterrupt:
-            raise stopped(f"{file} has what is finished; the same command goes on") from None
-    text = "\n".join(tables(results))
-    write_text(out / "fault_matrix.md", text)
-    print(text, end="")
-    note(f"{file}, {out / 'fault_matrix.md'}")
 
 
 def _run_all(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from rich.table import Table
 
 from twin.agents.evaluation import mean_scores
 from twin.agents.training import Plan, Run
-from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.boat_prior import BoatPrior
@@ -33,7 +31,6 @@ __all__ = [
     "print_health",
     "print_prediction",
     "print_prior",
-    "print_results",
     "print_scores",
     "print_trainings",
     "print_verdict",
@@ -61,27 +58,6 @@ RATIO_ABOVE_ONE = 1.005
 STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim", BAD: "red", DOUBTFUL: "yellow", OK: "green"}
 
 Row = Mapping[str, Any]
-
-SUMMARY_NAMES = ("scenario", "case", "plan", "predictor")
-"""What tells the lines of a summary apart."""
-
-LEGEND = {
-    r"[XYN]_": ("X, Y, N", "terms of the acceleration forward, to starboard, in yaw"),
-    r"[XYN]_[uvr|]+$": ("u, v, r", "surge speed, sway speed, yaw rate, and products of them"),
-    r"E_": ("E", "slow acceleration to north and to east, of wind and current"),
-    r"[XYN]_nn$": ("nn", "thrust at rest: mean n|n| of the shafts, n the shaft speed"),
-    r"[XYN]_nu$": ("nu", "change of thrust with speed: mean |n| u of the shafts"),
-    r"T_": ("T_uL, T_uR ...", "thrust n|n| of the left, right shaft in surge, sway, yaw"),
-    r"[XN]_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
-    r"N_mn$": ("mn", "turning by the mean thrust: the thrusters are unequal"),
-    r"[XYN]_F$": ("F", "drag and lift of rudders or drives in the flow at the stern"),
-    r"[XYN]_S$": ("S", "force of flow from the side on rudders or drives"),
-    r"[XYN]_w$": ("w", "apparent wind, its speed squared"),
-    r"N_0$": ("0", "constant yaw acceleration"),
-    r"N_(cos|sin)$": ("cos, sin", "yaw acceleration that turns with the heading"),
-    r"N_(cos|sin)2$": ("cos2, sin2", "the same, with twice the heading"),
-}
-"""What names of parameters mean: pattern, what is printed for it, and its meaning."""
 
 
 def short(value: float | None, digits: int) -> str:
@@ -223,7 +199,10 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         table.add_row(name, unit, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
     console.print(table)
     if getattr(twin.predictor, "ukf", None) is not None:  # else they have names of their own
-        _print_legend(twin.predictor.parameter_names)
+        explain(
+            "X, Y, N: terms of the acceleration forward, to starboard, in yaw; N_v|v| times v|v| "
+            "is a yaw acceleration. All names: docs/explanation/twin.md, Model structure."
+        )
     explain(
         "ratio: sd over that of the prior. source data: it fell to 0.71 or below, and the "
         "parameter's own regressor was excited. source sum: its regressor was collinear with "
@@ -238,19 +217,6 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         )
     if seen is not None:
         _print_identifiability(seen)
-
-
-def _print_legend(names: Sequence[str]) -> None:
-    """Print what the names of a model's parameters mean, as far as they occur."""
-    table = new_table("what the names mean", "", "", left=("",), show_header=False)
-    table.columns[-1].no_wrap = False
-    for pattern, (name, meaning) in LEGEND.items():
-        if any(re.match(pattern, one) for one in names):
-            table.add_row(name, meaning)
-    console.print(table)
-    explain(
-        "N_v|v| times v|v| is a yaw acceleration. See docs/explanation/twin.md, Model structure."
-    )
 
 
 def _source(finding: Finding) -> str:
@@ -456,88 +422,6 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
             " End of loss: error of the estimated position, m, and the radius that is claimed to "
             "hold 90 %; medians."
         )
-
-
-def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
-    """Print all tables of ``results.json``.
-
-    Parameters
-    ----------
-    results : dict
-        Content of ``results.json``.
-    missing : sequence of str
-        Predictors that could not run here.
-    """
-    lines: dict[tuple[str, ...], dict[str, Any]] = {}
-    for item in results["summary"]:
-        case = item.get("case", item["fault"])
-        key = (item["scenario"], case, item["plan"], item["predictor"])
-        row = lines.setdefault(key, dict(zip(SUMMARY_NAMES, key, strict=True)))
-        row[item["metric"]] = item["value"]
-        if item["metric"] == "mae" and item["low"] is not None:
-            row["MAE 95 %"] = f"{short(item['low'], 2)}..{short(item['high'], 2)}"
-    for scenario, case, plan in dict.fromkeys(key[:3] for key in lines):
-        block = [row for key, row in lines.items() if key[:3] == (scenario, case, plan)]
-        block += [{"predictor": name, "MAE 95 %": "left out"} for name in missing]
-        shown = [{k: v for k, v in row.items() if k not in SUMMARY_NAMES[:3]} for row in block]
-        print_rows(f"{scenario}, case {case}, plan {plan}", shown)
-    explain(
-        "Metrics as in the docstring of twin.benchmark.metrics: mae and mse pooled over u, v, r, "
-        "position and heading at 1, 2, 5 and 10 s, units mixed, as in the paper's Table 4; crps: "
-        "the same of the whole distribution; normalised and skill: means over channels and "
-        "horizons; J: mae over that of the oracle, E = J - 1; start_error: m; coverage90: share "
-        "inside the 90 % intervals."
-    )
-    print_rows("change of the MAE against a reference on the same seeds", results.get("paired"))
-    print_rows("recorded runs: RMSE after 10 s", results.get("recorded"))
-    print_rows("position at the end of a loss of GPS, m", results.get("losses"))
-    scores = shown_motion(results)
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for score in scores["motion"]:
-        key = tuple(score[name] for name in ("scenario", "plan", "channel", "horizon_s"))
-        groups.setdefault(key, []).append(score)
-    print_rows(
-        "forecasts of roll, pitch and heave, medians over seeds, SI units",
-        [
-            {"scenario": scenario, "plan": plan, "channel": channel, "after s": horizon}
-            | median_scores(rows, horizon)
-            for (scenario, plan, channel, horizon), rows in groups.items()
-        ],
-    )
-    print_rows("probability of a quiet deck", scores["quiet"])
-
-
-def print_rows(title: str, rows: Sequence[Row] | None) -> None:
-    """Print rows of results as they are: a column for each key with numbers or words.
-
-    What is the same in all rows stands in the title.
-    """
-    if not rows:
-        return
-    keys = [
-        k
-        for k in dict.fromkeys(key for row in rows for key in row)
-        if not any(isinstance(row.get(k), list | dict) for row in rows)
-    ]
-    same = {k: rows[0].get(k) for k in keys if len({row.get(k) for row in rows}) == 1}
-    keys = [k for k in keys if k not in same or len(rows) == 1]
-    words = {k for k in keys if any(isinstance(row.get(k), str) for row in rows)}
-    about = ", ".join(f"{k} {v}" for k, v in same.items() if v not in (None, "", title))
-    heads = {k: k.replace("_", "\n") for k in keys}
-    table = new_table(
-        f"{title}: {about}" if about else title,
-        *heads.values(),
-        left={heads[k] for k in words},
-        padding=0,
-    )
-    for row in rows:
-        table.add_row(*(_cell(row.get(k)) for k in keys))
-    console.print(table)
-
-
-def _cell(value: Any) -> str:
-    """Return the text of a number or word; a dash for none."""
-    return short(value, 3) if value is None or isinstance(value, float) else str(value)
 
 
 EPISODES_MIN = 3

@@ -373,8 +373,8 @@ def test_sensors_that_the_twin_left_out_are_graded(
     assert answer.grade == grade and sensor in answer.text
 
 
-def test_pulse_widths_that_nobody_converted_make_a_run_unfit(boat: Particulars, log: Log) -> None:
+def test_pulse_widths_that_nobody_converted_are_bad(boat: Particulars, log: Log) -> None:
     cmd = log.cmd.copy()
     cmd[:, :2] = 1500.0 + 20.0 * cmd[:, :2]
     found = verdict_of(boat, dataclasses.replace(log, cmd=cmd))
-    assert found.answers[4].grade == BAD and "commands excluded" in found.unfit
+    assert found.answers[4].grade == BAD and "commands excluded" in found.answers[4].text
