@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.digital_twin import Twin, known_plan
-from twin.logs.log import Log
-from twin.predictors.base import ForecastError
+from twin.predictors.base import ForecastError, Prediction
 from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
@@ -25,8 +23,6 @@ __all__ = [
     "ContractError",
     "check_predictor",
 ]
-
-Array = NDArray[np.float64]
 
 ORIGINS = (300, 500)
 """Numbers of rows after which the twin forecasts: 15 and 25 s at 20 Hz."""
@@ -58,21 +54,26 @@ def check_predictor(name: str) -> int:
     PredictorError
         There is no such predictor, or it cannot be imported.
     """
-    kind = predictor_class(name)
     vessel, sea = Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5)
     log = simulate("zigzag", vessel=vessel, sea=sea, duration=40.0, seed=7)
     options: dict[str, Any] = simulator_options(name, vessel, sea, 3)
-    if kind.trains:
+    if predictor_class(name).trains:
         options["train_at"] = TRAIN_AT_S
 
-    def new_twin() -> Twin:
-        return Twin(particulars_of(vessel), name, seed=3, **options)
+    def forecasts(rows: int, *origins: int) -> list[Prediction]:
+        """Return what a new twin forecasts at its origins while it gets the first rows."""
+        twin, found = Twin(particulars_of(vessel), name, seed=3, **options), []
+        for k in range(rows):
+            # copies: through the base of a view, a predictor could see the future
+            twin.step(float(log.t[k]), log.z[k].copy(), log.cmd[k].copy())
+            if k + 1 in origins:
+                plan = known_plan(log, k, HORIZON_S, PLAN_STEP_S)
+                found.append(copy.deepcopy(twin.predict(plan, dt=PLAN_STEP_S)))
+        return found
 
     try:
-        for origin, found in zip(
-            ORIGINS, _forecasts(new_twin(), log, len(log), ORIGINS), strict=True
-        ):
-            (alone,) = _forecasts(new_twin(), log, origin, (origin,))
+        for origin, found in zip(ORIGINS, forecasts(len(log), *ORIGINS), strict=True):
+            (alone,) = forecasts(origin, origin)
             _compare(f"{name}: after {origin} rows", found, alone)
     except ContractError:
         raise
@@ -80,34 +81,16 @@ def check_predictor(name: str) -> int:
         raise ContractError(str(error)) from error
     except Exception as error:  # of a user's predictor
         raise ContractError(f"{name}: {type(error).__name__}: {error}") from error
-    return 2 * len(ORIGINS)
+    return len(ORIGINS)
 
 
-def _forecasts(twin: Twin, log: Log, rows: int, origins: Sequence[int]) -> list[dict[str, Array]]:
-    """Feed the first rows of a log; return the arrays of the forecasts at each origin."""
-    found = []
-    for k in range(rows):
-        # copies: through the base of a view, a predictor could see the future
-        twin.step(float(log.t[k]), log.z[k].copy(), log.cmd[k].copy())
-        if k + 1 in origins:
-            plan = known_plan(log, k, HORIZON_S, PLAN_STEP_S)
-            known, held = twin.predict(plan, dt=PLAN_STEP_S), twin.predict("hold", dt=PLAN_STEP_S)
-            found.append(
-                {
-                    f"{part} of the forecast with {what} commands": np.array(getattr(one, part))
-                    for what, one in (("known", known), ("held", held))
-                    for part in ("start", "start_cov", "mean", "cov", "low", "high")
-                }
-            )
-    return found
-
-
-def _compare(where: str, found: Mapping[str, Array], alone: Mapping[str, Array]) -> None:
-    """Refuse forecasts that are not finite, or not those from a log cut at their origin."""
-    for part, value in alone.items():
+def _compare(where: str, found: Prediction, alone: Prediction) -> None:
+    """Refuse a forecast that is not finite, or not that from a log cut at its origin."""
+    for part in ("start", "start_cov", "mean", "cov", "low", "high"):
+        value = getattr(alone, part)
         if not np.isfinite(value).all():
             raise ContractError(f"{where}, {part} is not finite; give every entry a number")
-        if not np.array_equal(value, found[part]):
+        if not np.array_equal(value, getattr(found, part)):
             raise ContractError(
                 f"{where} of the whole log, {part} is not that from a log cut there; use only rows "
                 "that update() has got, and let predict() change nothing"

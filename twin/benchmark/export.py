@@ -144,7 +144,7 @@ def latex_text(results: Row) -> str:
     program = (results.get("program") or {}).get("sources", "")
     tables = [
         f"% usv-twin {results.get('version', '')}, sources {program}\n"
-        f"% {_one_line(results.get('command', ''))}\n"
+        f"% {' '.join(results.get('command', '').split())}\n"
         "% needs \\usepackage{booktabs,graphicx}\n"
     ]
     count = _runs(results)
@@ -234,10 +234,6 @@ def _planned(plan: str) -> str:
 def _escaped(text: str) -> str:
     """Return text with the marks that mean something to LaTeX written out."""
     return "".join(_SPECIAL.get(mark, mark) for mark in text)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _label(text: str) -> str:

@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.benchmark.figures import (
-    RunFigure,
-    prediction_figure,
-    predictor_styles,
-    track_figure,
-    verdict_figure,
-)
-from twin.benchmark.figures.data import example_times, reference_of, run_label
-from twin.benchmark.figures.style import Styles, picture_bytes
+from twin.benchmark.figures.data import RunFigure, example_times, reference_of
+from twin.benchmark.figures.results import verdict_figure
+from twin.benchmark.figures.runs import prediction_figure, track_figure
+from twin.benchmark.figures.style import Styles, picture_bytes, predictor_styles
 from twin.benchmark.metrics import METRICS
 from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of
@@ -241,25 +236,14 @@ def _first_pictures(
     return shown if run is None else [*shown, _track(run, pictures)]
 
 
-def _stem(run: RunFigure) -> str:
-    """Return how the names of the pictures of a run begin."""
-    return f"{run.scenario}_{run.fault}_seed{run.seed}"
-
-
-def _compared(run: RunFigure) -> str:
-    """Return what the predictions of a run are compared with."""
-    known = reference_of(run.log).is_truth
-    return "truth" if known else "measurements (the truth is unknown)"
-
-
 def _track(run: RunFigure, pictures: Pictures) -> Picture:
     """Return the picture of the track of one run."""
     caption = (
-        f"{run_label(run)}: track, and predicted tracks over 10 s from each example (numbered). "
-        f"Axes follow the {_compared(run)}; a prediction may leave them."
+        f"{run.label}: track, and predicted tracks over 10 s from each example (numbered). "
+        "Axes follow the run; a prediction may leave them."
     ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
     figure = track_figure(run, pictures.styles)
-    return pictures.add(figure, f"{_stem(run)}_track", caption[0].upper() + caption[1:])
+    return pictures.add(figure, f"{run.name}_track", caption[0].upper() + caption[1:])
 
 
 def _run(run: RunFigure, pictures: Pictures, track_shown: bool) -> dict[str, Any]:
@@ -268,9 +252,9 @@ def _run(run: RunFigure, pictures: Pictures, track_shown: bool) -> dict[str, Any
     shown = [] if track_shown else [_track(run, pictures)]
     for k, start in enumerate(example_times(run), 1):
         caption = (
-            f"10 s motion prediction against the {_compared(run)}, made at "
-            f"t = {round(start, 1):g} s. Curves may leave their panel."
+            f"10 s motion prediction, made at t = {round(start, 1):g} s. Curves may leave their "
+            "panel. Measurements stand for a truth that is not known."
         )
         figure = prediction_figure(run, start, pictures.styles, reference)
-        shown.append(pictures.add(figure, f"{_stem(run)}_prediction{k}", caption))
-    return {"title": run_label(run), "pictures": shown}
+        shown.append(pictures.add(figure, f"{run.name}_prediction{k}", caption))
+    return {"title": run.label, "pictures": shown}

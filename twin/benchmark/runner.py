@@ -45,7 +45,7 @@ from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
-from twin.logs.log import Log, files_of, recorded_runs, sibling_path
+from twin.logs.log import Log, files_of, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction
@@ -266,26 +266,21 @@ def result_file(folder: Path, unit: Unit) -> Path:
     return folder / "runs" / f"{name}.json"
 
 
-def finished(
-    settings: Settings, unit: Unit, folder: Path, *, pictures: bool
-) -> dict[str, Any] | None:
+def finished(settings: Settings, unit: Unit, folder: Path) -> dict[str, Any] | None:
     """Return the result of earlier work with the same settings, if there is one."""
     path = result_file(folder, unit)
     if not path.exists():
         return None
-    result: dict[str, Any] | None = kept(path, [digest(settings, unit), pictures])
+    key = [digest(settings, unit), wants_pictures(settings, unit)]
+    result: dict[str, Any] | None = kept(path, key)
     # an equal log may lie in another folder now
     return None if result is None else {**result, "unit": dataclasses.asdict(unit)}
 
 
 def reusable(settings: Settings, folder: Path) -> dict[Unit, dict[str, Any]]:
     """Return the results of earlier work that nothing has changed since."""
-    found = {}
-    for unit in units(settings):
-        result = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
-        if result is not None:
-            found[unit] = result
-    return found
+    found = {unit: finished(settings, unit, folder) for unit in units(settings)}
+    return {unit: result for unit, result in found.items() if result is not None}
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
@@ -345,20 +340,18 @@ def _attempt(
     settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
     """Score the predictors of some runs; an error of one does not stop the others."""
-    return [found for run in task for found in _attempt_run(settings, run, folder)]
-
-
-def _attempt_run(
-    settings: Settings, task: Sequence[Unit], folder: Path
-) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of one run."""
-    try:
-        run = load_run(settings, task[0])
-        if not task[0].log:
-            _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
-    except Exception as error:
-        return [(unit, _portable(error)) for unit in task]
-    return [(unit, _scored(settings, unit, folder, run)) for unit in task]
+    found: list[tuple[Unit, dict[str, Any] | Exception]] = []
+    for same_run in task:
+        try:
+            run = load_run(settings, same_run[0])
+            if not same_run[0].log:
+                path = folder / "logs" / f"{same_run[0].run}.csv"
+                _write_log(run.reference, run.particulars, path)
+        except Exception as error:
+            found += [(unit, _portable(error)) for unit in same_run]
+        else:
+            found += [(unit, _scored(settings, unit, folder, run)) for unit in same_run]
+    return found
 
 
 def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str, Any] | Exception:
@@ -440,11 +433,6 @@ def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, floa
         and fault.effect == "loss"
         and FAULT_KINDS[fault.kind] & (GPS_BIT | FIXES_BIT)
     ]
-
-
-def default_logs() -> tuple[str, ...]:
-    """Return the recorded runs that a benchmark without arguments scores."""
-    return tuple(str(path) for path in recorded_runs().values())
 
 
 def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:

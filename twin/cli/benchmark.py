@@ -12,6 +12,7 @@ import typer
 from rich.progress import TimeRemainingColumn
 
 from twin.benchmark import runner
+from twin.benchmark.export import csv_text, latex_text
 from twin.benchmark.protocol import (
     FULL,
     FULL_CASES,
@@ -50,6 +51,7 @@ from twin.cli.tables import print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
+from twin.logs.log import recorded_runs
 from twin.logs.rosbag import is_bag
 from twin.parallel import check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
@@ -199,7 +201,7 @@ def benchmark_command(
     elif cases is not None:
         raise BenchmarkError("--cases are those of the full protocol: add --full")
     else:
-        options["logs"] = recorded or runner.default_logs()
+        options["logs"] = recorded or tuple(map(str, recorded_runs().values()))
     if recorded:
         options |= {"scenarios": (), "ship": ship}
     elif scenarios is not None:
@@ -241,7 +243,9 @@ def benchmark_command(
     not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = runner.collect(settings, done, command, notes + not_scored, against)
-    _write_tables(results, latex, csv)
+    for path, text_of in ((latex, latex_text), (csv, csv_text)):
+        if path is not None:
+            write_text(path, text_of(results))
     if full:  # hundreds of thousands of rows: a table of their own
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
@@ -263,15 +267,6 @@ def benchmark_command(
     with status("drawing"):
         written = write_report(out, results, figures, pdf=pdf)
     console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
-
-
-def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
-    """Write the tables for a paper, as far as they are asked for."""
-    from twin.benchmark.export import csv_text, latex_text
-
-    for path, text_of in ((latex, latex_text), (csv, csv_text)):
-        if path is not None:
-            write_text(path, text_of(results))
 
 
 def _parse_cases(text: str | None) -> tuple[Case, ...]:

@@ -138,7 +138,7 @@ def identify_command(
         prior = fresh.estimate()
         with row_progress(f"identifying {log.name}", len(log)) as advance:
             table = twin.run(log, advance)
-        print_health(twin)
+        print_health(twin.notes)
         last = twin.estimate()
         if not last.ready:
             raise LogError(f"{path}: no fix and heading came together, so there is nothing to say")

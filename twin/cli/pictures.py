@@ -22,7 +22,7 @@ from twin.benchmark.figures.style import (
 from twin.benchmark.trust import HORIZON_S, Verdict
 from twin.integrity.findings import SEVERITIES
 from twin.integrity.log_check import LogCheck
-from twin.integrity.rows import SENSORS, speed_of
+from twin.integrity.rows import speed_of
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, integrated, sampled
 
@@ -66,7 +66,7 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         ["commands", "turn"],
         ["commands", "heading"],
     ]
-    size = (11.0, 9.0)
+    size = (11.0, 7.0)
     if verdict is not None:
         about = f"{about}; {verdict.predictor}: {verdict.grade} (" + ", ".join(
             f"{answer.about} {answer.grade}" for answer in verdict.answers
@@ -74,10 +74,9 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         about += ")"
         entries += [(line(BLACK), "forecasts of the twin"), (line(ORANGE, DASHED), "persistence")]
         mosaic += [["distance", "losses"], ["turned", "losses"]]
-        size = (11.0, 13.0)
+        size = (11.0, 11.0)
     fig, axes = new_figure(f"{recording.name}: check", about, entries, mosaic, size)
     _track(axes["track"], recording, verdict)
-    _samples(axes["samples"], recording)
     _speed(axes["speed"], recording)
     _turn(axes["turn"], recording)
     _heading(axes["heading"], recording)
@@ -86,7 +85,7 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         _errors(axes["distance"], verdict, 0, 1.0, "distance off, m")
         _errors(axes["turned"], verdict, 1, 180.0 / math.pi, "heading off, degrees")
         _losses(axes["losses"], verdict)
-    over_time = {"samples", "speed", "turn", "heading", "commands", "distance", "turned"}
+    over_time = {"speed", "turn", "heading", "commands", "distance", "turned"}
     for name in over_time & set(axes):
         axes[name].set_xlim(float(recording.t[0]), float(recording.t[-1]))
     buffer = io.BytesIO()
@@ -125,22 +124,6 @@ def _track(ax: Axes, recording: Recording, verdict: Verdict | None) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     set_ticks(ax, 5, 6, "east")
     ax.set_ylabel("north", fontsize=10)
-
-
-def _samples(ax: Axes, recording: Recording) -> None:
-    """Draw when each sensor has new samples; a gap is a white place."""
-    set_title(ax, "new samples of each sensor")
-    names = [name for name, columns in SENSORS.items() if len(recording.samples(*columns)[0])]
-    for row, name in enumerate(names):
-        at = recording.samples(*SENSORS[name])[0]
-        step = 4.0 * float(np.median(np.diff(at))) if len(at) > 1 else 1.0
-        breaks = np.flatnonzero(np.diff(at) > step)
-        start, end = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
-        spans = list(zip(start.tolist(), np.maximum(end - start, 0.05).tolist(), strict=True))
-        ax.broken_barh(spans, (row - 0.35, 0.7), color=BLUE, lw=0)
-    set_ticks(ax, 6, 6, None)
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.4, -0.6)
 
 
 def _speed(ax: Axes, recording: Recording) -> None:

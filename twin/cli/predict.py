@@ -87,7 +87,7 @@ def predict_command(
     before = run.slice(-math.inf, math.nextafter(run.t[row], math.inf))
     with row_progress("identifying", row + 1) as advance:
         states = twin.run(before, advance)
-    print_health(twin)
+    print_health(twin.notes)
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
     if plan == "known":

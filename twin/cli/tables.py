@@ -27,7 +27,6 @@ __all__ = [
     "print_check",
     "print_episodes",
     "print_estimate",
-    "print_forecasts",
     "print_health",
     "print_prediction",
     "print_prior",
@@ -51,9 +50,6 @@ SHOWN_AFTER_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 
 HEALTH_LINES = 12
 """So many lines on sensors are printed at most."""
-
-RATIO_ABOVE_ONE = 1.005
-"""Ratios of standard deviations from which on a table shows more than 1.00."""
 
 STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim", BAD: "red", DOUBTFUL: "yellow", OK: "green"}
 
@@ -89,12 +85,8 @@ def _plain(text: str, style: str | None = None) -> None:
 
 
 # what twin and log say
-def print_health(twin: Twin) -> None:
-    """Print when which sensor was not ok, and why."""
-    _print_notes(twin.notes)
-
-
-def _print_notes(lines: Sequence[str]) -> None:
+def print_health(lines: Sequence[str]) -> None:
+    """Print the notes of a twin: when which sensor was not ok, and why."""
     for line in lines[:HEALTH_LINES]:
         note(line)
     if len(lines) > HEALTH_LINES:
@@ -128,7 +120,7 @@ def print_check(check: LogCheck) -> None:
 
 def print_verdict(verdict: Verdict) -> None:
     """Print whether a twin may be trusted."""
-    _print_notes(verdict.notes)
+    print_health(verdict.notes)
     console.print()
     title = f"twin of {verdict.boat} by {verdict.predictor}: {verdict.grade}"
     _plain(title, STYLES[verdict.grade])
@@ -189,11 +181,9 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     heads = ("", "unit", "prior", "sd", "now", "sd", "ratio", "source")
     table = new_table(title, *heads, left=("", "unit", "source"))
     found = {} if seen is None else {item.name: item for item in seen.parameters}
-    ratios = []
     for i, name in enumerate(twin.predictor.parameter_names):
         ratio = last.params_sd[i] / prior.params_sd[i] if prior.params_sd[i] > 0 else math.nan
         numbers = (prior.params[i], prior.params_sd[i], last.params[i], last.params_sd[i])
-        ratios.append(ratio)
         source = _source(found[name]) if name in found else ""
         unit = twin.predictor.parameter_units[i]
         table.add_row(name, unit, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
@@ -210,11 +200,6 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     )
     if in_use is not None and in_use.is_prior:
         explain("The prior is in use: the values are not from the data, only the sd of a refit.")
-    if any(ratio > RATIO_ABOVE_ONE for ratio in ratios):
-        explain(
-            "ratio above 1: the parameter is less certain than at the start. The filter lets it "
-            "drift, or a change of the boat was found, and the data do not confine it since."
-        )
     if seen is not None:
         _print_identifiability(seen)
 
@@ -227,7 +212,7 @@ def _source(finding: Finding) -> str:
 
 
 def _print_identifiability(seen: Identifiability) -> None:
-    """Print the sums of collinear parameters, and the rank of the sub-models."""
+    """Print the sums of collinear parameters, and what the run did not show."""
     if seen.sums:
         _print_rows(
             "sums of collinear parameters",
@@ -241,21 +226,6 @@ def _print_identifiability(seen: Identifiability) -> None:
             },
             left=("", "source"),
         )
-    _print_rows(
-        f"identifiability on {seen.seconds:.0f} s of data",
-        seen.submodels,  # type: ignore[arg-type]
-        {
-            "sub-model": lambda model: model.name,
-            "parameters": lambda model: str(len(model.parameters)),
-            "effective rank": lambda model: f"{model.effective_rank:.1f}",
-            "condition number": lambda model: model.condition,
-        },
-        left=("sub-model",),
-    )
-    explain(
-        "effective rank: directions determined by the data and not by the prior. condition "
-        "number: of the regressors in prior standard deviations."
-    )
     for model in seen.submodels:
         if model.not_shown:
             shown = "; ".join(model.not_shown)
@@ -433,11 +403,6 @@ REPLICATES = 2000
 PLACES = {"": "all", "_loss": "lost"}
 """Where forecasts are graded: with all sensors, or while some are lost."""
 
-PLANS = {"known": "that came", "held": "held"}
-"""Commands that forecasts go by."""
-
-AHEAD_S = (1, 2, 5, 10)
-
 Rows = Sequence[dict[str, Any]]
 
 
@@ -486,35 +451,6 @@ def print_episodes(found: Rows) -> None:
             f"{np.mean([row['return'] for row in rows]):.0f}",
             forecast_error(rows),
         )
-    console.print(table)
-
-
-def print_forecasts(found: Rows) -> None:
-    """Print how good the twin's forecasts were on the episodes of each agent."""
-    heads = ("agent", "sensors", "commands", "ahead", "m", "deg", "m/s", "in 90 %", "n")
-    title = (
-        f"forecasts of {found[0]['twin']} on the same episodes: mean errors of displacement, "
-        "heading and speed, and shares of them in the 90 % intervals"
-    )
-    table = new_table(title, *heads, left=heads[:3])
-    for model, label in short_names([row["model"] for row in found]).items():
-        scores = mean_scores([row["twin_forecast"] for row in found if row["model"] == model])
-        for place, sensors in PLACES.items():
-            for plan, commands in PLANS.items() if scores[f"n{place}"] else ():
-                for ahead in AHEAD_S:
-                    stem = f"{plan}{place}_{ahead}s"
-                    shares = [
-                        scores.get(f"{stem}_{channel}_coverage90")
-                        for channel in ("displacement", "heading", "speed")
-                    ]
-                    table.add_row(
-                        *(label, sensors, commands, f"{ahead} s"),
-                        f"{scores[f'{stem}_displacement_m']:.2f}",
-                        f"{math.degrees(scores[f'{stem}_heading_rad']):.1f}",
-                        f"{scores[f'{stem}_speed_mps']:.2f}",
-                        " ".join("-" if one is None else f"{100 * one:.0f}" for one in shares),
-                        f"{scores[f'n{place}']:.0f}",
-                    )
     console.print(table)
 
 

@@ -31,9 +31,6 @@ KEPT = "everything up to the last checkpoints is kept in {}; the same command co
 """Printed after Ctrl-C."""
 
 
-UPDATES_MIN = 8
-"""Trainings with fewer updates are warned of."""
-
 BREAKS = 6
 """A short training is evaluated so often, at least."""
 
@@ -138,13 +135,6 @@ def train_command(
         init="" if init is None else str(init),
         every=min(EVERY, -(-steps // BREAKS)),
     )
-    rollout = values["n_envs"] * values.get("n_steps", 0)
-    if steps < UPDATES_MIN * rollout:
-        console.print(
-            f"note: an update comes after {rollout} decisions, and the learning rate falls to 0 at "
-            f"the last: {steps} teach little, --steps {UPDATES_MIN * rollout} more",
-            highlight=False,
-        )
     plans = [dataclasses.replace(first, seed=seed) for seed in parse_seeds(seeds)]
     how = {"hyper": values, "num_threads": num_threads, "callback": callback}
     trained = []

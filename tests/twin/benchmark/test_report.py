@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from twin import PREDICTORS
-from twin.benchmark import figures
-from twin.benchmark.figures import RunFigure, predictor_styles
-from twin.benchmark.figures.data import reference_of
+from twin.benchmark.figures.data import RunFigure, reference_of
+from twin.benchmark.figures.results import verdict_figure
 from twin.benchmark.figures.runs import panel_limits
-from twin.benchmark.figures.style import STYLES
+from twin.benchmark.figures.style import STYLES, predictor_styles
 from twin.benchmark.report import write_report
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
@@ -200,7 +199,7 @@ def test_the_picture_of_absurd_errors_has_limits(value):
         {"predictor": name, "loss": "none", "position_m": size, "heading_deg": 1.0}
         for name, size in (("persistence", 1.0), ("ukf", value))
     ]
-    picture = figures.verdict_figure(verdict, predictor_styles(("persistence", "ukf")))
+    picture = verdict_figure(verdict, predictor_styles(("persistence", "ukf")))
     picture.draw_without_rendering()
     for ax in picture.axes:
         assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
@@ -283,10 +282,11 @@ def test_equal_names_do_not_overwrite_each_other(tmp_path):
 
 def test_matplotlib_is_imported_late_and_without_pyplot():
     code = (
-        "import sys, twin.benchmark.figures as figures, twin.benchmark.report\n"
+        "import sys, twin.benchmark.report\n"
+        "from twin.benchmark.figures.results import verdict_figure\n"
         "assert 'matplotlib' not in sys.modules\n"
         "row = dict(predictor='ukf', loss='none', position_m=1.0, heading_deg=1.0)\n"
-        "figures.verdict_figure([row], figures.predictor_styles(['ukf']))\n"
+        "verdict_figure([row], {'ukf': ('#000000', '-')})\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

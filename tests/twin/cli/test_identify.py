@@ -32,14 +32,6 @@ def test_a_run_given_twice_counts_once(folder, tmp_path):
     assert "from 1 run(s)" in run("identify", log, log, "--save-prior", tmp_path / "p").stdout
 
 
-def test_identify_names_the_parameters_in_use(folder, tmp_path):
-    out = run("identify", folder / "run.csv", "--json", tmp_path / "a.json").stdout
-    name = json.loads((tmp_path / "a.json").read_text())["parameters_in_use"]
-    assert name.startswith(("the refit", "the joint", "the mean", "the prior"))
-    title = " ".join(out[out.index("parameters (mean") :].split())
-    assert title.startswith(f"parameters (mean and standard deviation); in use: {name}")
-
-
 def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):
     log, kept = folder / "run.csv", tmp_path / "boat.prior"
     out = run("identify", log, second, "--save-prior", kept).stdout

@@ -20,7 +20,6 @@ __all__ = [
     "examples_at",
     "gps_fixes",
     "reference_of",
-    "run_label",
 ]
 
 Array = NDArray[np.float64]
@@ -38,6 +37,17 @@ class RunFigure:
     lost: list[tuple[float, float]]  # start and end of the times without GPS, s
     # by predictor, in the order of the legends: at most three, made at the same times by all
     examples: dict[str, list[Prediction]]
+
+    @property
+    def name(self) -> str:
+        """Scenario, fault and seed for names of files."""
+        return f"{self.scenario}_{self.fault}_seed{self.seed}"
+
+    @property
+    def label(self) -> str:
+        """Scenario, fault and seed for headings."""
+        fault = "no fault" if self.fault == "none" else f"fault {self.fault}"
+        return f"{self.scenario}, {fault}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -78,11 +88,6 @@ class Reference:
         t = self.t[column]
         rows = (t >= t0 - 1e-9) & (t <= t1 + 1e-9)
         return t[rows], self.v[column][rows]
-
-    def slice(self, t0: float, t1: float) -> Reference:
-        """Return the part between two times."""
-        times, values = zip(*(self.within(j, t0, t1) for j in range(6)), strict=True)
-        return Reference(self.is_truth, list(times), list(values))
 
 
 def reference_of(log: Log) -> Reference:
@@ -141,9 +146,3 @@ def examples_at(run: RunFigure, t0: float) -> dict[str, Prediction]:
         for prediction in examples
         if abs(prediction.t0 - t0) < 2e-3
     }
-
-
-def run_label(run: RunFigure) -> str:
-    """Return scenario, fault and seed for headings."""
-    fault = "no fault" if run.fault == "none" else f"fault {run.fault}"
-    return f"{run.scenario}, {fault}, seed {run.seed}"

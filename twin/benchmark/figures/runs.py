@@ -16,7 +16,6 @@ from twin.benchmark.figures.data import (
     examples_at,
     gps_fixes,
     reference_of,
-    run_label,
 )
 from twin.benchmark.figures.style import (
     BLACK,
@@ -88,7 +87,7 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
     rows: list[list[Any]] = [[0, 0]]
     rows += [[k, k + 1 if k < len(starts) else "."] for k in range(1, len(starts) + 1, 2)]
     size = (WIDTH, 3.6 + 2.3 * (len(rows) - 1))
-    fig, axes = new_figure("Track", run_label(run), entries, rows, size)
+    fig, axes = new_figure("Track", run.label, entries, rows, size)
     _draw_track(axes[0], reference, fixes, log, run.lost)
     set_ticks(axes[0], 6, 6, "east (m)")
     set_title(axes[0], "the whole run, north up")
@@ -100,8 +99,9 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
             mark = axes[0].annotate(str(number), (y, x), weight="bold", **place)
             mark.set_in_layout(False)
         ax = axes[number]
-        near = reference.slice(start - 2.0, start + 10.0)
-        _draw_track(ax, near, gps_fixes(log.slice(start - 2.0, start + 10.0)), log, run.lost)
+        part = log.slice(start - 2.0, start + 10.0)
+        near = reference_of(part)
+        _draw_track(ax, near, gps_fixes(part), log, run.lost)
         _draw_predictions(ax, run, start, styles, reference)
         _set_box(ax, *_box_around(near.path, 0.15))
         set_ticks(ax, 3, 4, "east (m)")
@@ -165,7 +165,7 @@ def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: R
     order = list(STATES)
     mosaic = [order[0:2], order[2:4], order[4:6]]
     title = f"Predicted at t = {round(start, 1):g} s"
-    fig, axes = new_figure(title, run_label(run), entries, mosaic, (WIDTH, 4.8))
+    fig, axes = new_figure(title, run.label, entries, mosaic, (WIDTH, 4.8))
     speed = float(np.median(reference.speed)) if len(reference.v[U]) else 1.0
     least = {X: 2 * speed, Y: 2 * speed, PSI: 10.0, U: 0.25 * speed, V: 0.15 * speed, R: 3.0}
     for column, title in STATES.items():
