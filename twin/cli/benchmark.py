@@ -190,8 +190,7 @@ def benchmark_command(
         _check(check)
         return
     check_backend(backend)
-    asked = parse_predictors(predictors)
-    names, notes = available(asked)
+    names, notes = available(parse_predictors(predictors))
     if not names:
         raise PredictorError("; ".join(notes))
     recorded, missing = _find_logs(log or [])

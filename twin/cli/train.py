@@ -27,10 +27,6 @@ from twin.sim.oracle import check_options_of
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
 
-KEPT = "everything up to the last checkpoints is kept in {}; the same command continues from there"
-"""Printed after Ctrl-C."""
-
-
 BREAKS = 6
 """A short training is evaluated so often, at least."""
 
@@ -145,7 +141,10 @@ def train_command(
             trained.append((plan, run))
             console.print(f"{run.folder}: trained", highlight=False)
     except KeyboardInterrupt:
-        raise stopped(KEPT.format(out)) from None
+        raise stopped(
+            f"everything up to the last checkpoints is kept in {out}; the same command continues "
+            "from there"
+        ) from None
     print_trainings(trained)
     console.print(f"next: usv-twin evaluate {out}", highlight=False, soft_wrap=True)
 
