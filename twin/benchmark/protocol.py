@@ -245,11 +245,6 @@ class Unit:
         """Name of the run, for files."""
         return f"{self.scenario}_{self.case}_{self.seed}"
 
-    @property
-    def row(self) -> dict[str, Any]:
-        """Keys of its rows in the results."""
-        return {name: getattr(self, name) for name in UNIT_KEY}
-
 
 UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
 """Fields of a :class:`Unit` that identify its rows, in the order of the results."""

@@ -29,7 +29,7 @@ from twin.cli.common import (
     progress_bar,
     write_json,
 )
-from twin.cli.tables import print_episodes, print_forecasts
+from twin.cli.tables import print_episodes
 from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
@@ -122,7 +122,6 @@ def evaluate_command(
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     print_episodes(found)
-    print_forecasts(found)
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
     if video is not None:

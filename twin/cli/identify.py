@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from twin.benchmark.trust import TrustMeter
 from twin.channels import STATE
 from twin.cli.common import (
     MappingOption,
@@ -26,11 +24,8 @@ from twin.cli.common import (
 )
 from twin.cli.tables import print_estimate, print_health, print_prior
 from twin.digital_twin import Twin
-from twin.integrity.log_check import check_log
 from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.errors import LogError
-from twin.logs.log import Log
-from twin.logs.tables import StateTable
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
@@ -91,14 +86,6 @@ def identify_command(
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
     ] = False,
-    with_faulty: Annotated[
-        bool,
-        typer.Option(
-            "--with-faulty",
-            help="Keep with --save-prior also runs in which sensors or commands are at fault, or "
-            "whose forecasts are bad.",
-        ),
-    ] = False,
 ) -> None:
     """Run the twin over a log, and print the state and the parameters that it estimates.
 
@@ -112,11 +99,9 @@ def identify_command(
 
     Several logs are runs of one boat: each is identified by itself, and the parameters are
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
-    boat's own prior, also of one run. Each run begins without an earlier prior. Runs in which
-    sensors or commands are at fault, or whose forecasts are bad, are left out of it. A run that is
-    given twice counts once.
+    boat's own prior, also of one run. Each run begins without an earlier prior.
 
-    Whether the twin may be trusted says usv-twin check.
+    Whether a twin may be trusted says usv-twin check: give no run that it calls bad.
     """
     if save_prior is not None:
         if resume is not None:
@@ -127,10 +112,10 @@ def identify_command(
             )
     one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
     given = [name for name, value in one.items() if value is not None]
+    logs = list(dict.fromkeys(logs))
     if len(logs) > 1 and given:
         raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
     together = save_prior is not None or len(logs) > 1
-    seen: dict[str, Path] = {}
     twins = []
     for path in logs:
         log, twin = twin_for_log(
@@ -146,19 +131,14 @@ def identify_command(
         for line in log.notes:
             note(line)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
-        content = hashlib.sha256(b"".join(part.tobytes() for part in (log.t, log.z, log.cmd)))
-        first = seen.setdefault(content.hexdigest(), path)
-        if first is not path:
-            note(f"{path}: has the same rows as {first}, and counts once")
-            continue
         if out is not None:
             check_out(out, log, twin)
         fresh = Twin.load(resume) if resume is not None else twin
         fresh.reset()
         prior = fresh.estimate()
-        meter = TrustMeter(twin, log) if save_prior is not None else None
-        table = _run(twin, log, meter)
-        print_health(twin)
+        with row_progress(f"identifying {log.name}", len(log)) as advance:
+            table = twin.run(log, advance)
+        print_health(twin.notes)
         last = twin.estimate()
         if not last.ready:
             raise LogError(f"{path}: no fix and heading came together, so there is nothing to say")
@@ -175,37 +155,13 @@ def identify_command(
             console.print(f"every row: {out}")
         if json_file is not None:
             write_json(json_file, _estimate_json(last, twin))
-        unfit = ""
-        if meter is not None and not with_faulty:
-            findings = check_log(path, mapping, twin.particulars).findings
-            unfit = meter.verdict(findings).unfit
-        if unfit:
-            note(f"{path}: left out of the prior, or keep it with --with-faulty; {unfit}")
-        else:
-            twins.append(twin)
+        twins.append(twin)
     if together:
         _combine(twins, save_prior)
 
 
-def _run(twin: Twin, log: Log, meter: TrustMeter | None) -> StateTable:
-    """Run a twin over a log under a progress bar, scored by a meter if there is one."""
-    with row_progress(f"identifying {log.name}", len(log)) as advance:
-
-        def on_row() -> None:
-            advance()
-            if meter is not None:
-                meter()
-
-        return twin.run(log, on_row)
-
-
 def _combine(twins: Sequence[Twin], path: Path | None) -> None:
     """Print what runs say together of the boat, and write it as a prior."""
-    if not twins:
-        raise LogError(
-            f"{path}: not written, as every run has a fault of sensors or commands, or bad "
-            "forecasts; mend the logs, give other runs, or keep them with --with-faulty"
-        )
     if path is None and not isinstance(twins[0].predictor, ModelPredictor):
         console.print(f"{twins[0].name} has no model, and so identifies no parameters.")
         return

@@ -27,13 +27,6 @@ from twin.sim.oracle import check_options_of
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
 
-KEPT = "everything up to the last checkpoints is kept in {}; the same command continues from there"
-"""Printed after Ctrl-C."""
-
-
-UPDATES_MIN = 8
-"""Trainings with fewer updates are warned of."""
-
 BREAKS = 6
 """A short training is evaluated so often, at least."""
 
@@ -138,13 +131,6 @@ def train_command(
         init="" if init is None else str(init),
         every=min(EVERY, -(-steps // BREAKS)),
     )
-    rollout = values["n_envs"] * values.get("n_steps", 0)
-    if steps < UPDATES_MIN * rollout:
-        console.print(
-            f"note: an update comes after {rollout} decisions, and the learning rate falls to 0 at "
-            f"the last: {steps} teach little, --steps {UPDATES_MIN * rollout} more",
-            highlight=False,
-        )
     plans = [dataclasses.replace(first, seed=seed) for seed in parse_seeds(seeds)]
     how = {"hyper": values, "num_threads": num_threads, "callback": callback}
     trained = []
@@ -155,7 +141,10 @@ def train_command(
             trained.append((plan, run))
             console.print(f"{run.folder}: trained", highlight=False)
     except KeyboardInterrupt:
-        raise stopped(KEPT.format(out)) from None
+        raise stopped(
+            f"everything up to the last checkpoints is kept in {out}; the same command continues "
+            "from there"
+        ) from None
     print_trainings(trained)
     console.print(f"next: usv-twin evaluate {out}", highlight=False, soft_wrap=True)
 
