@@ -327,7 +327,6 @@ def runs(
     folder: Path,
     *,
     jobs: int = 1,
-    backend: str = "loky",
     done: Mapping[Unit, dict[str, Any]] | None = None,
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
@@ -335,9 +334,9 @@ def runs(
     A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
     and what a net learned or answered on the one serves the others. Where there are fewer boats
     than workers, it takes a run, which is simulated or read once, or single predictors. The
-    results do not depend on ``jobs`` and ``backend`` (one of ``twin.parallel.BACKENDS``). After an
-    error (a log that cannot be read, say) the rest goes on. ``done`` are the results to reuse, if
-    not those of :func:`reusable`; none computes all again.
+    results do not depend on ``jobs``. After an error (a log that cannot be read, say) the rest goes
+    on. ``done`` are the results to reuse, if not those of :func:`reusable`; none computes all
+    again.
     """
     todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
     done = reusable(settings, folder) if done is None else done
@@ -357,7 +356,7 @@ def runs(
     if len(tasks) < jobs:
         tasks = [[[unit]] for task in tasks for unit in task[0]]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for result in results_of(calls, jobs=jobs, backend=backend):
+    for result in results_of(calls, jobs=jobs):
         yield from result[1]
 
 
@@ -391,7 +390,7 @@ def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str,
 
 
 def _portable(error: Exception) -> BenchmarkError:
-    """Return an error that every backend can send, with the kind of an unexpected one."""
+    """Return an error that a worker can send, with the kind of an unexpected one."""
     plain = isinstance(error, (ValueError, OSError)) and str(error)
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
@@ -472,10 +471,10 @@ def default_logs() -> tuple[str, ...]:
     return tuple(str(path) for path in recorded_runs().values())
 
 
-def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
+def warm_up(settings: Settings, *, jobs: int = 1) -> None:
     """Compile once what all workers will need."""
     boat = Vessel.load(settings.vessel), settings.sea(), settings.dof
-    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
+    compile_kernels(boat, settings.predictors, jobs=jobs)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -245,7 +245,6 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("benchmark --cases base", ["--full"]),
         ("benchmark --full --cases storm", ["storm", "gps30", "sea4"]),
         ("benchmark --full --faults none", ["--cases"]),
-        ("benchmark --backend mpi", ["mpi", "loky", "dask"]),
         ("benchmark --predictors no_body:Mine", ["no_body:Mine", "working directory"]),
         ("benchmark --log none.csv", ["none.csv", "no such file"]),
         ("benchmark --log /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),
@@ -299,7 +298,7 @@ def test_the_full_protocol_can_be_restricted(empty):
         "base,gps5,gps10",
     )
     options = ("--predictors", "persistence", "--out", "out", "--jobs", "1")
-    done = run("benchmark", *parts, *options, "--backend", "threading")
+    done = run("benchmark", *parts, *options)
     assert "case gps5" in done.stdout
     results = json.loads(Path("out/results.json").read_text())
     assert [case["name"] for case in results["settings"]["cases"]] == ["base", "gps5", "gps10"]
