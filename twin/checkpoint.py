@@ -102,19 +102,6 @@ def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options of a predictor as plain JSON data; StateError names one that is none."""
-    plain = {}
-    for name, value in options.items():
-        plain[name] = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
-        if not isinstance(plain[name], (*_SCALARS, list)):
-            raise StateError(
-                f"option {name!r} is a {type(value).__name__}, which cannot be saved; hand the "
-                "predictor in as an object, and again to Twin.load(path, predictor=...)"
-            )
-    return plain
-
-
 def check_fields(
     found: Mapping[str, Any], wanted: Mapping[str, Any], ragged: Iterable[str] = ()
 ) -> None:

@@ -114,7 +114,9 @@ def test_options_and_particulars_are_restored(boat, losses, tmp_path, name, opti
 def test_an_option_that_cannot_be_saved_is_named_with_the_remedy(boat, losses, tmp_path):
     sea = SeaState(hs=0.5, wind=4.5)
     twin = Twin(boat, "oracle", sea=sea)
-    with pytest.raises(StateError, match="option 'sea' is a SeaState.*hand the predictor in as an"):
+    with pytest.raises(
+        StateError, match=r"option 'sea' is a SeaState.*hand the predictor in as an"
+    ):
         twin.save(tmp_path / "a")
     twin = Twin(boat, make_predictor("oracle", boat, sea=sea))
     feed(twin, losses, 0, 100)

@@ -331,43 +331,30 @@ def runs(
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
-    A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
-    and what a net learned or answered on the one serves the others. Where there are fewer boats
-    than workers, it takes a run, which is simulated or read once, or single predictors. The
-    results do not depend on ``jobs``. After an error (a log that cannot be read, say) the rest goes
-    on. ``done`` are the results to reuse, if not those of :func:`reusable`; none computes all
-    again.
+    A worker takes a run, which is simulated or read once, or where there are fewer runs than
+    workers single predictors. The results do not depend on ``jobs``. After an error (a log that
+    cannot be read, say) the rest goes on. ``done`` are the results to reuse, if not those of
+    :func:`reusable`; none computes all again.
     """
-    todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
+    todo: dict[tuple[str, ...], list[Unit]] = {}
     done = reusable(settings, folder) if done is None else done
     for unit in units(settings):
         if unit in done:
             yield unit, done[unit]
         else:
-            boat = unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade
-            todo.setdefault(boat, {}).setdefault(unit.run, []).append(unit)
+            todo.setdefault((unit.log, unit.sea, unit.grade, unit.run), []).append(unit)
     if not todo:
         return
     # recorded runs first: they are the longest, and no worker is to wait for them at the end
-    boats = sorted(todo, key=lambda boat: not boat[2])
-    tasks = [list(todo[boat].values()) for boat in boats]
+    tasks = [todo[run] for run in sorted(todo, key=lambda run: not run[0])]
     if len(tasks) < jobs:
-        tasks = [[run] for task in tasks for run in task]
-    if len(tasks) < jobs:
-        tasks = [[[unit]] for task in tasks for unit in task[0]]
+        tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
     for result in results_of(calls, jobs=jobs):
         yield from result[1]
 
 
 def _attempt(
-    settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
-) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of some runs; an error of one does not stop the others."""
-    return [found for run in task for found in _attempt_run(settings, run, folder)]
-
-
-def _attempt_run(
     settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
     """Score the predictors of one run."""

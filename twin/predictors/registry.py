@@ -137,7 +137,7 @@ def _imported(name: str, entry: str) -> Any:
     module, attribute = entry.partition(":")[::2]
     here = str(Path.cwd())
     if name == entry and here not in sys.path:
-        sys.path.append(here)  # as for python -m, and in the workers of any backend too
+        sys.path.append(here)  # as for python -m, and in workers too
     try:
         return getattr(import_module(module), attribute)
     except Exception as error:  # foreign code may raise anything when it is imported

@@ -27,7 +27,6 @@ from twin.predictors.baselines import (
     hold_velocity,
 )
 from twin.predictors.learned.features import fill_forward, lstm_cell, thrust_features
-from twin.predictors.learned.memo import MISSING, Memo
 
 __all__ = [
     "LSTMPredictor",
@@ -40,12 +39,6 @@ Array = NDArray[np.float64]
 
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
-
-_SETTINGS = ("warm", "ahead", "hidden", "epochs", "rate", "decay", "noise", "dropout")
-"""Attributes of :class:`LSTMPredictor` that a training depends on."""
-
-_TRAINED = Memo(16)
-"""Nets of the last trainings."""
 
 REMEDY = "{} needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
 
@@ -296,13 +289,7 @@ class LSTMPredictor(HistoryPredictor):
             b_out=np.zeros(3),
         )
         inputs, target = net.scaled(nu[:, :-1], thrust_features(cmd)), nu[:, self.warm + 1 :]
-        settings = {name: getattr(self, name) for name in _SETTINGS}
-        key = Memo.key([*vars(net).values(), inputs, target], settings, rng.bit_generator.state)
-        trained = _TRAINED.find(key)
-        if trained is MISSING:
-            trained = self._fit(net, inputs, target, rng)
-            _TRAINED.keep(key, trained)
-        return trained  # type: ignore[no-any-return]
+        return self._fit(net, inputs, target, rng)
 
     def _fit(
         self, net: _Net, inputs: Array, target: Array, rng: np.random.Generator

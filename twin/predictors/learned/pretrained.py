@@ -30,7 +30,6 @@ from twin.predictors.learned.features import (
     lstm_cell,
     thrust_features,
 )
-from twin.predictors.learned.memo import MISSING, Memo
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import replacing
 
@@ -81,7 +80,7 @@ MASKS = slice(14, ROW)
 MOTION, COS, SIN, FRESH, KNOWN = slice(0, 3), 3, 4, slice(5, 8), 8
 """In a row of a token: velocities, heading, masks, whether the row is known."""
 
-GPS_FRESH, COMPASS_FRESH, IMU_FRESH = range(FRESH.start, FRESH.stop)
+GPS_FRESH, _COMPASS_FRESH, IMU_FRESH = range(FRESH.start, FRESH.stop)
 
 THRUST, DIFFERENCE, SIDE_FORCE, ANGLES = range(KNOWN + 1, PER_ROW)
 """In a row of a token: what the actuators do."""
@@ -102,7 +101,7 @@ STEP = 0.5
 """Increments of u, v, r over their typical size, per length travelled, of an output of 1."""
 
 BATCH = {"lstm": 8, "transformer": 1}
-"""Several inputs are padded to a multiple of this: then equal ones have equal answers.
+"""Several inputs are padded to a multiple of this: then each has the same answer among any others.
 
 A transformer multiplies matrices of one input at a time.
 """
@@ -139,25 +138,10 @@ class Weights:
         net = {"lstm": run_lstm, "transformer": run_transformer}[self.kind]
         return net(self.arrays, gated(x, self.settings.get("gate", 0.0)))
 
-    @functools.cached_property
-    def _kept(self) -> Memo:
-        """The last answers, 480 bytes each."""
-        return Memo(20_000)
-
-    def answers(self, x: Array) -> Array:
-        """Return the same as :meth:`run`; inputs that were met before cost next to nothing.
-
-        Runs that differ by a late fault have the same past forecasts up to it.
-        """
-        keys = [Memo.key([one]) for one in x]
-        said = [self._kept.find(key) for key in keys]
-        new = [k for k, answer in enumerate(said) if answer is MISSING]
-        if new:
-            padded = new + new[-1:] * (-len(new) % BATCH[self.kind])
-            for k, answer in zip(new, self.run(x[padded]), strict=False):
-                said[k] = answer.copy()
-                self._kept.keep(keys[k], said[k])
-        return np.stack(said)
+    def run_padded(self, x: Array) -> Array:
+        """Return the same as :meth:`run`, to the bit whatever inputs an input comes with."""
+        padding = np.repeat(x[-1:], -len(x) % BATCH[self.kind], axis=0)
+        return self.run(np.concatenate([x, padding]))[: len(x)]
 
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
@@ -373,7 +357,7 @@ class FleetPredictor(ActuatedPredictor):
         window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         weights = _shipped(self.file, self.kind)
         # a forecast from the present is made once, with a plan of its own
-        net = weights.run if origins[-1] == len(rows) - 1 else weights.answers
+        net = weights.run if origins[-1] == len(rows) - 1 else weights.run_padded
         out = []
         # beyond its horizon the net goes on from its own outputs
         for first in range(0, plans.shape[1], block):
