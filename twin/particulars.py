@@ -335,14 +335,7 @@ class Particulars:
                 f"prior = {prior!r}: read it with twin.boat_prior.BoatPrior.load"
             )
         try:
-            prior.check_boat(
-                length=self.length,
-                speed=self.speed,
-                shaft_speed=self.shaft_speed,
-                steering=self.steering,
-                beam=self.beam,
-                mass=self.mass,
-            )
+            prior.check_boat(self)
         except BoatPriorError as error:
             raise ParticularsError(f"prior: {error}") from None
 
