@@ -335,7 +335,6 @@ class ModelPredictor(Predictor):
     """
 
     models = True
-    read_by_mean: ClassVar[tuple[str, ...]] = ("ukf.memory",)
 
     def __init__(
         self, particulars: Particulars, settings: FilterSettings, *, seed: int = 0

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.particulars import Particulars
-from twin.predictors.base import Predictor
 from twin.predictors.registry import PredictorError
-from twin.sim.batched_twins import TwinObserver, twins_of
+from twin.sim.batched_twins import TwinObserver, TwinOptions, twins_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.scene import TwinOverlay
 
@@ -93,15 +91,7 @@ class MixedTwins(Observer):
         return self._of(0).first_infos()
 
 
-def observer_of(
-    episodes: Episodes,
-    twin: str | Predictor,
-    particulars: Particulars | None,
-    band_period: float,
-    seed: int,
-    observation: str = "twin",
-    forecast_scores: bool = True,
-) -> TwinObserver | MixedTwins:
-    """Return the twins of n boats; the arguments are those of ``batched_twins.twins_of``."""
-    found = twins_of(episodes, twin, particulars, band_period, seed, observation, forecast_scores)
+def observer_of(episodes: Episodes, options: TwinOptions) -> TwinObserver | MixedTwins:
+    """Return the twins of n boats."""
+    found = twins_of(episodes, options)
     return found[0] if len(found) == 1 else MixedTwins(episodes, found)
