@@ -88,17 +88,6 @@ def train_command(
         list[str] | None,
         typer.Option(help="Weight of a term of the reward: cross_track=3; may be repeated."),
     ] = None,
-    init: Annotated[
-        Path | None,
-        typer.Option(help="Start from the weights of this policy (.npz, or a run's folder)."),
-    ] = None,
-    callback: Annotated[
-        str,
-        typer.Option(
-            help="module:function that Stable-Baselines3 calls in each step with its local and "
-            "global variables; False ends the training. Or module:Class of a BaseCallback."
-        ),
-    ] = "",
     num_threads: Annotated[
         int, typer.Option(min=1, help="Threads that share the boats; they change no result.")
     ] = 1,
@@ -135,7 +124,6 @@ def train_command(
         vessel_spread=vessel_spread,
         world=parse_world(wind_from, current),
         reward_weights=parse_weights(reward_weight or []),
-        init="" if init is None else str(init),
         every=min(EVERY, -(-steps // BREAKS)),
     )
     rollout = values["n_envs"] * values.get("n_steps", 0)
@@ -146,7 +134,7 @@ def train_command(
             highlight=False,
         )
     plans = [dataclasses.replace(first, seed=seed) for seed in parse_seeds(seeds)]
-    how = {"hyper": values, "num_threads": num_threads, "callback": callback}
+    how = {"hyper": values, "num_threads": num_threads}
     trained = []
     try:
         for plan, run in train_all(
