@@ -27,7 +27,6 @@ from twin.sim.bridge import (
 )
 from twin.sim.compact import COMPACT_SETS, SCALED, set_of, shows_forecast
 from twin.sim.mixed_twins import MixedTwins, observer_of
-from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
@@ -209,9 +208,7 @@ def _observed(observation: str | Sequence[str], options: dict[str, Any]) -> dict
     read = twins.forecast_scores or pictures or wanted is None or shows_forecast(wanted)
 
     def made(episodes: Episodes) -> Observer:
-        observer = observer_of(episodes, twins)
-        if name not in TWIN_SETS:
-            return UnseenTwins(episodes, OBSERVERS[name], observer)
+        observer = observer_of(episodes, twins, name if name in OBSERVERS else "")
         if not read and name != "twin_attitude":  # roll is forecast from the motion ahead
             observer.leave_out_forecasts()
         return observer
@@ -245,7 +242,7 @@ class USVTwinEnv(USVEnv):
     @property
     def twin(self) -> Twin:
         """The twin of this episode."""
-        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
+        assert isinstance(self.observer, (TwinObserver, MixedTwins))
         return self.observer.first
 
 
@@ -271,7 +268,7 @@ class USVTwinVectorEnv(USVVectorEnv):
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
+        assert isinstance(self.observer, (TwinObserver, MixedTwins))
         return self.observer.twin(operator.index(i))
 
 
