@@ -407,24 +407,23 @@ class Twin:
         parameters = self.predictor.parameter_names
         deck = np.full((len(log), 2, len(CHANNELS)), math.nan)
         rates = np.full((len(log), len(_RATES)), math.nan)
-        shape = len(log), len(STATE) + len(parameters)
-        mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
+        states, state_sds = np.full((2, len(log), len(STATE)), math.nan)
+        params, param_sds = np.full((2, len(log), len(parameters)), math.nan)
         for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
-            ready[k] = self.predictor.write_moments(mean[k], sd[k])
+            found = self.predictor.estimate()
+            if found.ready:
+                states[k], state_sds[k] = found.state, found.sd
+                params[k], param_sds[k] = found.params, found.params_sd
             if (now := self.motion.estimate()) is not None:
                 deck[k] = now.mean, now.sd
                 rates[k] = now.roll_rate, now.pitch_rate, now.vertical_speed
             if on_row is not None:
                 on_row()
-        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
-        mean[~ready], sd[~ready] = np.nan, np.nan
-        names = (*STATE, *parameters)
-        means, sds = dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True))
         columns = {TIME: log.t}
-        for group in (STATE, parameters):
-            columns |= {name: means[name] for name in group}
-            columns |= {f"sd_{name}": sds[name] for name in group}
+        for names, means, sds in ((STATE, states, state_sds), (parameters, params, param_sds)):
+            columns |= dict(zip(names, means.T, strict=True))
+            columns |= {f"sd_{name}": sd for name, sd in zip(names, sds.T, strict=True)}
         if self.motion.active:
             for j, kind in enumerate(("", "sd_")):
                 columns |= {f"{kind}{name}": deck[:, j, c] for c, name in enumerate(CHANNELS)}

@@ -285,12 +285,6 @@ class Predictor(ABC):
             cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
         return cov
 
-    def add_common_error(self, variance: Array) -> None:
-        """Add what :meth:`with_common_error` does, to variances (6 + p,), state first."""
-        common = self.particulars.instruments.gps_bias_sd**2
-        variance[0] += common
-        variance[1] += common
-
     @property
     def ready(self) -> bool:
         """True once a first fix and a first heading have come."""
@@ -381,19 +375,6 @@ class Predictor(ABC):
     @abstractmethod
     def estimate(self) -> Estimate:
         """Return the estimate after the last row."""
-
-    def write_moments(self, mean: Array, variance: Array) -> bool:
-        """Write :meth:`estimate` into arrays, state before parameters; return whether it is ready.
-
-        Parameters
-        ----------
-        mean, variance : ndarray, shape (6 + p,)
-            Written to.
-        """
-        now = self.estimate()
-        mean[:] = np.concatenate([now.state, now.params])
-        variance[:] = np.concatenate([now.sd, now.params_sd]) ** 2
-        return now.ready
 
     def identifiability(self) -> Identifiability | None:
         """Return how well the data determine the parameters; None where there is no model."""

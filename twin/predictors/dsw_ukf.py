@@ -478,11 +478,6 @@ class DSWPredictor(ModelPredictor):
         np.einsum("...ii->...i", cov)[...] *= 1.0 + RIDGE
         return cov
 
-    def add_common_error(self, variance: Array) -> None:
-        """See :meth:`twin.predictors.base.Predictor.add_common_error`."""
-        super().add_common_error(variance)
-        variance[:N_STATES] *= 1.0 + RIDGE
-
     def _length(self, z: Array, dt: float, s: Array, expected: Array) -> int:
         """Return W by Algorithm 1."""
         return self.window.update(
