@@ -64,7 +64,8 @@ def write(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDAr
     """
     content = io.BytesIO()
     about = {"format": FORMAT, "version": VERSION, "software": __version__, **header}
-    np.savez_compressed(content, **{_HEADER: np.array(json.dumps(about)), **arrays})
+    entries: dict[str, Any] = {_HEADER: np.array(json.dumps(about)), **arrays}
+    np.savez_compressed(content, **entries)
     write_whole(Path(path), content.getvalue())
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from usv_kernel.errors import UsvTwinError, check_options, did_you_mean
@@ -27,7 +27,7 @@ __all__ = [
 WORDS = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
 """Words for a truth value."""
 
-TYPES = {
+TYPES: dict[str, tuple[Callable[[str], Any], str]] = {
     "bool": (WORDS.__getitem__, f"one of {', '.join(WORDS)}"),
     "int": (int, "a whole number"),
     "float": (float, "a number"),

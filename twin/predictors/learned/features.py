@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ def integrate(start: Array, velocity: Array) -> Array:
 class LearnedPredictor(HistoryPredictor):
     """A predictor whose forecasts keep within bounds that follow from the particulars."""
 
-    constants = ("typical", "bound")
+    constants: ClassVar[tuple[str, ...]] = ("typical", "bound")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         U, L = particulars.speed, particulars.length

@@ -43,7 +43,6 @@ __all__ = [
     "FleetTransformer",
     "Weights",
     "WeightsError",
-    "gated",
     "run_lstm",
     "run_transformer",
     "tokens",
@@ -79,8 +78,6 @@ MASKS = slice(14, ROW)
 
 MOTION, COS, SIN, FRESH, KNOWN = slice(0, 3), 3, 4, slice(5, 8), 8
 """In a row of a token: velocities, heading, masks, whether the row is known."""
-
-GPS_FRESH, _COMPASS_FRESH, IMU_FRESH = range(FRESH.start, FRESH.stop)
 
 THRUST, DIFFERENCE, SIDE_FORCE, ANGLES = range(KNOWN + 1, PER_ROW)
 """In a row of a token: what the actuators do."""
@@ -136,7 +133,7 @@ class Weights:
     def run(self, x: Array) -> Array:
         """Return the net's outputs (B, AHEAD, 3 PATCH) for :func:`tokens`."""
         net = {"lstm": run_lstm, "transformer": run_transformer}[self.kind]
-        return net(self.arrays, gated(x, self.settings.get("gate", 0.0)))
+        return net(self.arrays, x)
 
     def run_padded(self, x: Array) -> Array:
         """Return the same as :meth:`run`, to the bit whatever inputs an input comes with."""
@@ -226,18 +223,6 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     about[:, PAST:, PLANNED] = 1.0
     out = np.clip(out, -INPUT_MAX, INPUT_MAX).reshape(B, PAST + AHEAD, PATCH * PER_ROW)
     return np.concatenate([out, about], axis=2).astype(np.float32)
-
-
-def gated(x: Array, gate: float) -> Array:
-    """Return tokens (B, PAST + AHEAD, TOKEN) whose past velocities fade with their sensors' masks.
-
-    ``gate`` is what fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
-    """
-    out = x.copy()
-    rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
-    rows[..., MOTION] *= 1.0 - gate * (1.0 - rows[..., [GPS_FRESH, GPS_FRESH, IMU_FRESH]])
-    out[:, :PAST, : PATCH * PER_ROW] = rows.reshape(len(x), PAST, -1)
-    return out
 
 
 def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
