@@ -21,16 +21,13 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import read_toml
-
-if TYPE_CHECKING:
-    from twin.particulars import Particulars
 
 __all__ = [
     "ENVIRONMENT",
@@ -207,8 +204,8 @@ class BoatPrior:
         head = "# What earlier runs say of a boat's parameters: mean and covariance, SI units."
         return f"{head}\nformat = {json.dumps(FORMAT)}\n{self.to_toml()}"
 
-    def check_boat(self, boat: Particulars) -> None:
-        """Refuse a boat that the prior was not made for; BoatPriorError says what differs."""
+    def check_boat(self, boat: Any) -> None:
+        """Refuse particulars that the prior was not made for; BoatPriorError says what differs."""
         for name in ("steering", *SAME_BOAT):
             made_for, found = getattr(self, name), getattr(boat, name)
             if made_for != found and (

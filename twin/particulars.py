@@ -45,8 +45,8 @@ FORWARD = 0.4
 LATENCY_MAX = 10.0
 """Largest age of a sample when it arrives, s."""
 
-LENGTH_MAX = 1000.0
-"""Largest arm of a sensor, and largest height of an anemometer, m."""
+WIND_HEIGHT_MAX = 1000.0
+"""Largest height of an anemometer, m."""
 
 ANGLE_SD_MAX = 1.0
 """Largest standard deviation of an angle, rad: more is taken for degrees."""
@@ -83,7 +83,7 @@ _MAY_BE_ZERO = (
 
 _MOST = {
     **dict.fromkeys(("gps_latency", "compass_latency", "ahrs_latency"), (LATENCY_MAX, "s")),
-    "wind_height": (LENGTH_MAX, "m"),
+    "wind_height": (WIND_HEIGHT_MAX, "m"),
     "max_tilt": (0.5 * math.pi, "rad"),
 }
 """Largest values and their units."""
@@ -132,10 +132,6 @@ def _check_triple(name: str, value: Any) -> None:
     if name == "imu_mounting" and max(map(abs, value)) > math.pi:
         raise ParticularsError(
             f"{name} = {value!r} must be rad, at most {math.pi:.4g}; {_as_degrees(value)}"
-        )
-    if name != "imu_mounting" and max(map(abs, value)) > LENGTH_MAX:
-        raise ParticularsError(
-            f"{name} = {value!r} must be m, at most {LENGTH_MAX:g}: {_TRIPLES[name]}"
         )
 
 

@@ -23,7 +23,7 @@ from twin.cli.common import (
     stopped,
 )
 from twin.cli.tables import print_trainings
-from twin.sim.oracle import check_options_of
+from twin.predictors.registry import predictor_class
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
 
@@ -108,7 +108,7 @@ def train_command(
     """
     values = hyperparameters(algo, hyper)
     steps = steps or values["n_timesteps"]
-    check_options_of(twin, vessel)
+    predictor_class(twin)
     if obs is not None and entries is not None:
         raise OptionError("--obs and --entries: give one of them")
     seen = parse_list(entries, "--entries") if entries is not None else obs

@@ -171,8 +171,8 @@ def make_predictor(
     Raises
     ------
     PredictorError
-        Lists the names that there are, or says that there is no structure to choose, or that an
-        option in the name has no such value or is given twice.
+        Lists the names that there are, or says that an option in the name has no such value or is
+        given twice.
     ArgumentError
         An option that the predictor does not have; lists those that it has.
     """
@@ -183,8 +183,6 @@ def make_predictor(
             "leave one out"
         )
     given = {**named, **options}
-    if "model" in given and not kind.models:
-        raise PredictorError(f"predictor {name!r} has no model structure; leave out 'model'")
     arguments = _arguments(kind)
     if not any(one.kind is one.VAR_KEYWORD for one in arguments):
         known = [one.name for one in arguments if one.kind is not one.VAR_POSITIONAL]

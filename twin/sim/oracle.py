@@ -19,7 +19,6 @@ from twin.particulars import Particulars
 from twin.predictors.baselines import COMMANDED, GRID, HistoryPredictor
 from twin.predictors.registry import (
     PredictorError,
-    make_predictor,
     options_of,
     predictor_class,
 )
@@ -32,7 +31,6 @@ from usv_kernel.jit import kernel
 
 __all__ = [
     "Oracle",
-    "check_options_of",
     "check_simulator",
     "known_vessel",
     "simulator_options",
@@ -113,16 +111,6 @@ def known_vessel(particulars: Particulars) -> Vessel:
         f"oracle: the true boat behind {name!r} is not known. It runs where the vessel is handed "
         "in (benchmark, environment), and on simulated logs of an unchanged vessel"
     )
-
-
-def check_options_of(predictor: str, vessel: str) -> None:
-    """Refuse a name that holds options which its predictor does not take; unknown names, too.
-
-    PredictorError, ArgumentError: as for ``twin.predictors.registry.make_predictor``.
-    """
-    # the values of options are checked by the class
-    if options_of(predictor) and not predictor_class(predictor).needs_simulator:
-        make_predictor(predictor, particulars_of(Vessel.load(vessel)))
 
 
 def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
