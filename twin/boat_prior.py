@@ -118,8 +118,7 @@ class BoatPrior:
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
         for name in _SIZES:
             value = getattr(self, name)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not (number and LEAST <= value <= MOST):
+            if type(value) not in (int, float) or not LEAST <= value <= MOST:
                 raise BoatPriorError(
                     f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
                 )

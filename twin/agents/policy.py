@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.files import read_archive
+from twin.predictors.learned.features import lstm_cell
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import parse_json, write_whole
@@ -193,10 +194,7 @@ class Policy:
                 raise AgentError(f"policy {self.name} remembers: call begin(envs) before act(obs)")
             of_input, of_hidden, bias = self.lstm
             hidden, cell = self._hidden
-            gates = x @ of_input.T + hidden @ of_hidden.T + bias
-            i, f, g, o = np.split(gates, 4, axis=1)
-            cell = _sigmoid(f) * cell + _sigmoid(i) * np.tanh(g)
-            x = _sigmoid(o) * np.tanh(cell)
+            x, cell = lstm_cell(x @ of_input.T + hidden @ of_hidden.T + bias, cell)
             self._hidden = x, cell
         activate = ACTIVATIONS[self.activation]
         for weights, bias in self.layers[:-1]:
@@ -272,8 +270,3 @@ def _check_array(name: str, array: Any, shape: tuple[int, ...], least: float = -
         raise AgentError(f"{name} has shape {array.shape} where {shape} is needed")
     if not ((array >= least) & (array <= VALUE_MAX)).all():
         raise AgentError(f"{name} holds values outside {least:g} to {VALUE_MAX:g}")
-
-
-def _sigmoid(x: Array) -> Array:
-    # the tangent does not overflow
-    return 0.5 + 0.5 * np.tanh(0.5 * x)

@@ -49,7 +49,7 @@ from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
-from twin.predictors.base import ForecastError, Prediction
+from twin.predictors.base import ForecastError, Prediction, Predictor
 from twin.predictors.registry import options_of, predictor_class
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
@@ -408,7 +408,11 @@ def collect(
             "logs": [Path(path).name for path in settings.logs],
         },
         "predictors": {
-            name: {"tuning": predictor_class(name).tuning, "sources": predictor_digest(name)}
+            # a subclass does not inherit the search for its parent's settings
+            name: {
+                "tuning": vars(predictor_class(name)).get("tuning", Predictor.tuning),
+                "sources": predictor_digest(name),
+            }
             for name in settings.predictors
         },
         "logs": {

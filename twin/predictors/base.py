@@ -265,12 +265,6 @@ class Predictor(ABC):
         predictor.made_with = args, options
         return predictor
 
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Leave the tuning of a subclass unstated."""
-        super().__init_subclass__(**options)
-        if "tuning" not in vars(cls):
-            cls.tuning = "not stated"
-
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
         self.seed = seed

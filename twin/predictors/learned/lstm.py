@@ -43,19 +43,20 @@ Array = NDArray[np.float64]
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
 
-REMEDY = "{} needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
-
 
 class MissingTorch(ImportError):
     """Torch is not installed; the message says how to get it."""
 
 
-def import_torch(what: str = "the LSTM predictor") -> Any:
-    """Return the module torch, or say what needs it and how to get it."""
+def import_torch() -> Any:
+    """Return the module torch, or say how to get it."""
     try:
         return importlib.import_module("torch")
     except ImportError as error:
-        raise MissingTorch(REMEDY.format(what)) from error
+        raise MissingTorch(
+            "the LSTM predictor needs torch: python -m pip install torch (the extra [lstm] of "
+            "usv-twin)"
+        ) from error
 
 
 @contextmanager
