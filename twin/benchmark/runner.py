@@ -48,7 +48,7 @@ from twin.files import keep, kept
 from twin.logs.log import Log, files_of, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
-from twin.predictors.base import ForecastError, Prediction
+from twin.predictors.base import ForecastError, Prediction, Predictor
 from twin.predictors.registry import options_of, predictor_class
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
@@ -302,56 +302,44 @@ def runs(
     folder: Path,
     *,
     jobs: int = 1,
-    backend: str = "loky",
     done: Mapping[Unit, dict[str, Any]] | None = None,
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
-    A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
-    and what a net learned or answered on the one serves the others. Where there are fewer boats
-    than workers, it takes a run, which is simulated or read once, or single predictors. The
-    results do not depend on ``jobs`` and ``backend`` (one of ``twin.parallel.BACKENDS``). After an
-    error (a log that cannot be read, say) the rest goes on. ``done`` are the results to reuse, if
-    not those of :func:`reusable`; none computes all again.
+    A worker takes a run, which is simulated or read once, or where there are fewer runs than
+    workers single predictors. The results do not depend on ``jobs``. After an error (a log that
+    cannot be read, say) the rest goes on. ``done`` are the results to reuse, if not those of
+    :func:`reusable`; none computes all again.
     """
-    todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
+    todo: dict[tuple[str, ...], list[Unit]] = {}
     done = reusable(settings, folder) if done is None else done
     for unit in units(settings):
         if unit in done:
             yield unit, done[unit]
         else:
-            boat = unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade
-            todo.setdefault(boat, {}).setdefault(unit.run, []).append(unit)
+            todo.setdefault((unit.log, unit.sea, unit.grade, unit.run), []).append(unit)
     if not todo:
         return
     # recorded runs first: they are the longest, and no worker is to wait for them at the end
-    boats = sorted(todo, key=lambda boat: not boat[2])
-    tasks = [list(todo[boat].values()) for boat in boats]
+    tasks = [todo[run] for run in sorted(todo, key=lambda run: not run[0])]
     if len(tasks) < jobs:
-        tasks = [[run] for task in tasks for run in task]
-    if len(tasks) < jobs:
-        tasks = [[[unit]] for task in tasks for unit in task[0]]
+        tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for result in results_of(calls, jobs=jobs, backend=backend):
+    for result in results_of(calls, jobs=jobs):
         yield from result[1]
 
 
 def _attempt(
-    settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
+    settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of some runs; an error of one does not stop the others."""
-    found: list[tuple[Unit, dict[str, Any] | Exception]] = []
-    for same_run in task:
-        try:
-            run = load_run(settings, same_run[0])
-            if not same_run[0].log:
-                path = folder / "logs" / f"{same_run[0].run}.csv"
-                _write_log(run.reference, run.particulars, path)
-        except Exception as error:
-            found += [(unit, _portable(error)) for unit in same_run]
-        else:
-            found += [(unit, _scored(settings, unit, folder, run)) for unit in same_run]
-    return found
+    """Score the predictors of one run."""
+    try:
+        run = load_run(settings, task[0])
+        if not task[0].log:
+            _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
+    except Exception as error:
+        return [(unit, _portable(error)) for unit in task]
+    return [(unit, _scored(settings, unit, folder, run)) for unit in task]
 
 
 def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str, Any] | Exception:
@@ -364,7 +352,7 @@ def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str,
 
 
 def _portable(error: Exception) -> BenchmarkError:
-    """Return an error that every backend can send, with the kind of an unexpected one."""
+    """Return an error that a worker can send, with the kind of an unexpected one."""
     plain = isinstance(error, (ValueError, OSError)) and str(error)
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
@@ -395,7 +383,11 @@ def collect(
             "logs": [Path(path).name for path in settings.logs],
         },
         "predictors": {
-            name: {"tuning": predictor_class(name).tuning, "sources": predictor_digest(name)}
+            # a subclass does not inherit the search for its parent's settings
+            name: {
+                "tuning": vars(predictor_class(name)).get("tuning", Predictor.tuning),
+                "sources": predictor_digest(name),
+            }
             for name in settings.predictors
         },
         "logs": {
@@ -435,10 +427,10 @@ def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, floa
     ]
 
 
-def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
+def warm_up(settings: Settings, *, jobs: int = 1) -> None:
     """Compile once what all workers will need."""
     boat = Vessel.load(settings.vessel), settings.sea(), settings.dof
-    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
+    compile_kernels(boat, settings.predictors, jobs=jobs)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -24,7 +24,6 @@ from twin.logs.bag_writer import BAG_SUFFIX, check_bag
 from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.model.structure import MODELS
-from twin.parallel import BACKENDS
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
@@ -176,9 +175,6 @@ JobsOption = Annotated[
     int, typer.Option(min=1, help="Workers; the results do not depend on the number.")
 ]
 
-BackendOption = Annotated[
-    str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
-]
 
 CPUS = os.cpu_count() or 1
 

@@ -48,7 +48,7 @@ def identify_command(
         typer.Option(
             "--predictor",
             "-p",
-            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}, or the resumed one.",
+            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}.",
         ),
     ] = None,
     model: ModelOption = None,
@@ -57,12 +57,6 @@ def identify_command(
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
     save: Annotated[
         Path | None, typer.Option(help="File for the whole state of the twin at the end.")
-    ] = None,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            help="File that --save wrote: continue from it, with the rows after its time."
-        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -93,9 +87,8 @@ def identify_command(
     gps_x_m, gps_y_m and compass_rad; gps_vx_mps, gps_vy_mps, gyro_radps, accel_x_mps2 and
     accel_y_mps2 help. Empty cells are missing data.
 
-    With --save the twin can continue later, here with --resume or in Python with Twin.load. The
-    results are the same bits as without the stop. The file holds predictor, boat and instruments;
-    those options are then left out.
+    With --save the twin can continue later, in Python with Twin.load. The results are the same bits
+    as without the stop. The file holds predictor, boat and instruments.
 
     Several logs are runs of one boat: each is identified by itself, and the parameters are
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
@@ -103,14 +96,11 @@ def identify_command(
 
     Whether a twin may be trusted says usv-twin check: give no run that it calls bad.
     """
-    if save_prior is not None:
-        if resume is not None:
-            raise OptionError("--save-prior and --resume: a prior is made from whole runs")
-        if save_prior.exists() and not force:
-            raise OptionError(
-                f"--save-prior {save_prior}: is there already; choose another name, or --force"
-            )
-    one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
+    if save_prior is not None and save_prior.exists() and not force:
+        raise OptionError(
+            f"--save-prior {save_prior}: is there already; choose another name, or --force"
+        )
+    one = {"--save": save, "--out": out, "--json": json_file}
     given = [name for name, value in one.items() if value is not None]
     logs = list(dict.fromkeys(logs))
     if len(logs) > 1 and given:
@@ -125,7 +115,6 @@ def identify_command(
             mapping=mapping,
             model=model,
             until=until,
-            resume=resume,
             own_prior=not together,
         )
         for line in log.notes:
@@ -133,9 +122,7 @@ def identify_command(
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
         if out is not None:
             check_out(out, log, twin)
-        fresh = Twin.load(resume) if resume is not None else twin
-        fresh.reset()
-        prior = fresh.estimate()
+        prior = twin.estimate()
         with row_progress(f"identifying {log.name}", len(log)) as advance:
             table = twin.run(log, advance)
         print_health(twin.notes)
