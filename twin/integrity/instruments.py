@@ -5,17 +5,26 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from twin.integrity.rows import HUGE, SENSORS, fix_scatter, speed_of
+from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.integrity.rows import FIX, HUGE, SENSORS, fix_scatter, speed_of
+from twin.integrity.transforms import Measured
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
 
-__all__ = ["Measured", "estimate_instruments", "noise_of", "particulars_text", "typical_boat"]
+__all__ = [
+    "SensorFigures",
+    "estimate_instruments",
+    "particulars_text",
+    "sensor_figures",
+    "typical_boat",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,39 +37,63 @@ UPRIGHT_MPS2 = 0.07
 KNOWN_S = 0.05
 """A latency counts where its standard deviation is smaller."""
 
-NOISY = {
-    "doppler_sd": "velocity",
-    "compass_sd": "compass",
-    "gyro_sd": "gyro",
+NOISY = {"doppler_sd": "velocity", "compass_sd": "compass", "gyro_sd": "gyro"}
+"""Sensors whose noise from sample to sample an instrument of the particulars is."""
+
+UNITS = {
+    "m": ("m", 1.0),
+    "mps": ("m/s", 1.0),
+    "mps2": ("m/s2", 1.0),
+    "rad": ("deg", math.degrees(1.0)),
+    "radps": ("deg/s", math.degrees(1.0)),
 }
+"""Unit in which the noise of columns is shown, and the factor to it."""
 
 
-class Measured(NamedTuple):
-    """A parameter of a sensor."""
+@dataclass(frozen=True)
+class SensorFigures:
+    """What a sensor of a log is like.
 
-    value: float
-    sd: float
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    rate_hz : float
+        New samples a second; 0 for none.
+    noise : float
+        White noise from sample to sample, in ``unit``; NaN where the log does not tell.
+    unit : str
+        Of the noise, for a table.
+    """
+
+    name: str
+    rate_hz: float
+    noise: float
+    unit: str
 
 
-def noise_of(recording: Recording) -> dict[str, float]:
-    """Return the white noise of each sensor, from sample to sample, in its unit."""
-    found = {}
-    for sensor, names in SENSORS.items():
-        t, values = recording.samples(*names)
-        if sensor == "compass":
+def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
+    """Return rate and noise of each sensor; those of roll, pitch and heave only if there."""
+    figures = []
+    for name, columns in SENSORS.items():
+        t, values = recording.samples(*columns)
+        rate = 1.0 / float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        if rate == 0.0 and MEASUREMENTS.index(columns[0]) >= MOTION_AT:
+            continue
+        if name == "compass":
             values = np.unwrap(values, axis=0)
-        squares = (
-            [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
-            if len(t) >= ENOUGH
-            else []
-        )
-        found[sensor] = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
-    return found
+        unit, scale = UNITS[columns[0].rpartition("_")[2]]
+        noise = math.nan
+        if len(t) >= ENOUGH and name != "wind":
+            squares = [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
+            noise = scale * math.sqrt(sum(squares) / len(squares))
+        figures.append(SensorFigures(name, rate, noise, unit if rate else ""))
+    return tuple(figures)
 
 
 def estimate_instruments(
     recording: Recording,
-    noise: dict[str, float],
+    figures: tuple[SensorFigures, ...],
     measured: dict[str, Measured | None],
     particulars: Particulars | None = None,
 ) -> tuple[Instruments, dict[str, str]]:
@@ -70,21 +103,25 @@ def estimate_instruments(
     ----------
     recording : Recording
         The log.
-    noise : dict of str to float
-        Of :func:`noise_of`.
+    figures : tuple of SensorFigures
+        Of its sensors.
     measured : dict of str to Measured or None
         Latency of the GPS and bias of the gyro, as far as the log shows them.
     particulars : Particulars, optional
         For what a log cannot show: slow errors of position and heading, places of the sensors.
     """
     found: dict[str, tuple[float, str]] = {}
+    noise = {
+        each.name: each.noise / UNITS[SENSORS[each.name][0].rpartition("_")[2]][1]
+        for each in figures
+    }
 
     def set_noise(key: str, value: float, why: str) -> None:
         if math.isfinite(value) and value < 1e6:
             least = LEAST[key]
             found[key] = (max(value, least), why if value > least else f"{why}, least value")
 
-    along = fix_scatter(*recording.samples("gps_x_m", "gps_y_m"))[0]
+    along = fix_scatter(*recording.samples(*FIX))[0]
     if along > noise["fix"]:
         set_noise("gps_sd", along, "scatter of the fixes along the track")
     else:

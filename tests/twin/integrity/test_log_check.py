@@ -244,7 +244,7 @@ RECORDED = {
     "blueboat_trondheim": {"jump", "contradiction"},
     "boat1_usv": {"jitter"},
     "kvlcc2_simman2008": {"contradiction"},
-    "esso_osaka_frt": {"jump", "contradiction"},
+    "esso_osaka_frt": {"jump", "contradiction", "frozen"},
 }
 
 
