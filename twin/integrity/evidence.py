@@ -72,9 +72,6 @@ ARC_RAD, SLOW_SHARE = 1.5, 0.2
 HORIZONS_S = tuple(2.0**k for k in range(6))
 """Times over which a command changes the motion; the one that explains most counts."""
 
-ANSWERS = 0.4
-"""Commands of which heading and yaw rate explain this share hold a course: they answer waves."""
-
 RAW_HEADING = "compass_raw"
 """A column beside those of a log: the heading as the file has it, never unwrapped or averaged."""
 
@@ -360,56 +357,47 @@ def _weighed(s: Signals) -> Pair:
     return x, y
 
 
-def _along(s: Signals, velocity: npt.NDArray[Any], rows: npt.NDArray[Any], width: int) -> Pair:
-    """Return a velocity over ground, and that of a boat which goes as it points and is commanded.
+def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
+    """Return velocities over ground, and those of a boat that goes as it points and is commanded.
 
     Its speed ahead is free; in turns it drifts in proportion to the yaw rate; the current is one.
+    Velocities are means over a width of steps, in the middles of such widths.
     """
-    rows = rows[: len(velocity)]
-    velocity = velocity[: len(rows)]
-    heading = _mean(s["compass_rad"], width)[rows]
+    rows = np.arange(width, len(s.t), width)[: len(velocity)]
+    v, heading = velocity[: len(rows)], _mean(s["compass_rad"], width)[rows]
     # both sides: a propeller that runs backwards gives less thrust
     thrust = _mean(s.stacked(*COMMANDS[:2]).max(axis=0), width)[rows]
-    turned = np.gradient(heading) if len(heading) > 1 else heading
+    turned = np.gradient(heading) if len(rows) > 1 else heading
     # the way of a boat that turns on the spot tells no direction
-    ok = np.isfinite(velocity) & (np.abs(turned) < ARC_RAD)
-    ok &= np.abs(velocity) > SLOW_SHARE * np.fmax.reduce(np.abs(velocity), initial=0.0)
-    fitted = np.full(len(velocity), np.nan, dtype=np.complex128)
+    ok = np.isfinite(v) & (np.abs(turned) < ARC_RAD)
+    ok &= np.abs(v) > SLOW_SHARE * np.fmax.reduce(np.abs(v), initial=0.0)
     if ok.sum() < ENOUGH // 2:
-        return velocity, fitted
-    v, axes = velocity[ok], np.exp(1j * heading[ok])
-    sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
-    power = max(float(np.mean(np.abs(v) ** 2)), 1e-300)
-    bend = turned[ok] / max(float(np.std(turned[ok])), 1e-9) * math.sqrt(power)
-    current, drift = 0.0 + 0.0j, 0.0
-    for _ in range(5):
-        ahead = axes * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0) * sign
-        left = v - ahead - 1j * axes * drift * bend
-        more = float(np.mean(np.abs(left - left.mean()) ** 2)) / (CURRENT_SHARE**2 * power)
-        # half of the plane is free: what the speed ahead takes up comes back in the next pass
-        current = complex(left.mean()) / (1.0 + more / len(v) * 2.0)
-        size = abs(current) / math.sqrt(power)
-        current *= min(1.0, 2.0 * CURRENT_SHARE / max(size, 1e-9))
-        side = ((v - current) * axes.conj()).imag
-        drift = float(side @ bend) / max(float(bend @ bend), 1e-300)
-        drift = min(max(drift, -DRIFT_RAD), DRIFT_RAD)
-    ahead = axes * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0) * sign
-    fitted[ok] = current + ahead + 1j * axes * drift * bend
-    return velocity, fitted
+        return v[:0], v[:0]
+    v, axes, turned = v[ok], np.exp(1j * heading[ok]), turned[ok]
+    size = max(float(np.sqrt(np.mean(np.abs(v) ** 2))), 1e-300)
+    # current north and east and drift, as shares of the speed, by ridge regression of the sway
+    side = (v * axes.conj()).imag / size
+    known = np.column_stack([-axes.imag, axes.real, turned / max(float(np.std(turned)), 1e-9)])
+    prior, fit = np.array([CURRENT_SHARE, CURRENT_SHARE, DRIFT_RAD]), np.zeros(3)
+    for _ in range(3):
+        left = side - known @ fit
+        weight = float(left @ left) / len(v) * np.diag(prior**-2.0)
+        fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
+    current, sign = size * (fit[0] + 1j * fit[1]), np.where(thrust[ok] < 0.0, -1.0, 1.0)
+    ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
+    return v, current + axes * (ahead + 1j * size * fit[2] * known[:, 2])
 
 
-def _ways(s: Signals) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
-    """Return velocities by the fixes, the rows in their middles, and the width in steps."""
+def _track(s: Signals) -> Pair:
+    """Velocity of the fixes, and that along the heading."""
     width = s.width(s.way_s, 2.0, *FIX)
-    way = _changes(s.level(FIX), width) / (width * s.step)
-    return way, np.arange(width // 2 * 2, len(s.t), width)[: len(way)], width
+    return _along(s, _changes(s.level(FIX), width) / (width * s.step), width)
 
 
 def _course(s: Signals) -> Pair:
     """Velocity over ground, and that along the heading."""
     width = s.width(2.0, 2.0, *VELOCITY)
-    rows = np.arange(width, len(s.t), width)
-    return _along(s, _mean(s.level(VELOCITY), width)[rows], rows, width)
+    return _along(s, _mean(s.level(VELOCITY), width)[width::width], width)
 
 
 def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Array, Array] | None:
@@ -426,17 +414,6 @@ def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Ar
     still[0] = False
     left[:, still] = 0.0
     return left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
-
-
-def _explained(change: Array, own: list[Array], commands: list[Array]) -> Pair:
-    """Return a change without what the motion itself explains, and what commands make of it.
-
-    More of a command makes more of the motion: no effect is below 0.
-    """
-    found = _without(change, own, commands)
-    if found is None:
-        return change[:0], change[:0]
-    return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
 
 
 def _explanation(change: Array, own: list[Array], commands: list[Array]) -> float:
@@ -470,55 +447,24 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
 
 
 def _yawed(s: Signals) -> Pair:
-    """Changes of the yaw rate by the compass, and what the commands make of it."""
-    if s.horizon_s == 0.0 or _holds_course(s):
-        return np.zeros(0), np.zeros(0)
-    return _explained(*_turns_by(s, s.horizon_s))
+    """Changes of the yaw rate by the compass, and what the commands make of it.
+
+    More of a command makes more of the motion: no effect is below 0.
+    """
+    change, own, commands = _turns_by(s, s.horizon_s)
+    found = _without(change, own, commands)
+    if s.horizon_s == 0.0 or found is None:
+        return change[:0], change[:0]
+    return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
 
 
-def _holds_course(s: Signals) -> bool:
-    """Return whether the commands answer the motion: in waves they seem to cause it, then."""
-    shafts, steering = s.stacked(*COMMANDS[:2]), s.stacked(*COMMANDS[2:])
-    force = shafts * np.abs(shafts)
-    asked = steering.mean(axis=0) if np.ptp(steering) > 0.0 else force[0] - force[1]
-    heading = s["compass_rad"]
-    rate = np.gradient(_mean(heading, s.width(0.5, 0.0, "compass_rad")), s.step)
-    motion = np.column_stack([heading, rate, np.ones_like(rate)])
-    known = np.isfinite(motion).all(axis=1)
-    spread = float(np.std(asked[known])) if known.any() else 0.0
-    if known.sum() < 5 * ENOUGH or spread == 0.0:
-        return False
-    fit = np.linalg.lstsq(motion[known], asked[known], rcond=1e-9)[0]
-    left = float(np.var(asked[known] - motion[known] @ fit)) / spread**2
-    parts = fit[:2] * motion[known, :2].std(axis=0) / spread
-    # both of heading and yaw rate, and to the same side
-    return left < 1.0 - ANSWERS and bool(min(abs(parts)) > ANSWERS**2 and parts.prod() > 0.0)
-
-
-def _surged(s: Signals) -> Pair:
-    """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
-    way, rows, width = _ways(s)
-    heading = _mean(s["compass_rad"], width)[rows]
-    ahead = (way[: len(rows)] * np.exp(-1j * heading)).real
-    if len(heading) > 1:
-        ahead[np.abs(np.gradient(heading)) > ARC_RAD] = np.nan
-    shafts = s.stacked(*COMMANDS[:2])
-    force = (shafts * np.abs(shafts)).sum(axis=0)
-    middle = _mean(force, width)[np.minimum(rows + width // 2, len(s.t) - 1)]
-    count = len(ahead) - 1
-    if count < ENOUGH or np.nanstd(middle) < 0.1 * np.abs(force).max(initial=0.0):
-        return np.zeros(0), np.zeros(0)
-    now, turned = ahead[:-1], np.diff(heading)
-    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [middle[:-1]])
-
-
-BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")
-"""The comparison with one value for all time; those with a model of the boat, which is rough."""
+BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", "turns and commands"
+"""The comparison with one value for all time, and the one with a model of the boat, a rough one."""
 
 COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
     "fixes and velocity": _gone,
     "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0, 6.0),
-    "track and compass": lambda s: _along(s, *_ways(s)),
+    "track and compass": _track,
     "course and compass": _course,
     "velocity and accelerometers": _pushed,
     "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5, 2.0),
@@ -526,8 +472,7 @@ COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
     "vertical speed and accelerometer": _heaved,
     "height and vertical speed": _risen,
     BY_GRAVITY: _weighed,
-    BY_COMMANDS[0]: _yawed,
-    BY_COMMANDS[1]: _surged,
+    BY_COMMANDS: _yawed,
 }
 """What gives two signals that are equal if all is sound."""
 

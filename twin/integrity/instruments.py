@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -141,25 +140,21 @@ def estimate_instruments(
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}
 
 
-def _speed_and_shaft(recording: Recording) -> tuple[float, float]:
-    """Return the upper quartile of the speeds of a log, m/s, and the shaft speed there, rev/s."""
-    motion = speed_of(recording)
-    if motion is None:
-        return math.nan, math.nan
-    middle, speeds = motion[0], np.hypot(*motion[1].T)
-    speed = float(np.quantile(speeds, 0.75))
-    near = middle[np.abs(speeds - speed) < 0.2 * speed]
-    n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
-    return speed, float(np.median(np.interp(near, recording.t, n))) if len(near) else math.nan
-
-
 def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
-    """Return particulars for the checks of sensors, where those of the boat are unknown."""
-    speed, _ = _speed_and_shaft(recording)
-    speed = min(max(speed, 0.5), 20.0) if math.isfinite(speed) else 1.0
+    """Return particulars where those of the boat are unknown: its speeds are those of the log."""
+    n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
+    motion, speed, shaft = speed_of(recording), 1.0, 0.0
+    if motion is not None:
+        speeds = np.hypot(*motion[1].T)
+        speed = min(max(float(np.quantile(speeds, 0.75)), 0.5), 20.0)
+        fast = motion[0][speeds >= np.quantile(speeds, 0.75)]
+        shaft = float(np.median(np.interp(fast, recording.t, n)))
+    fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
     return Particulars(
-        name="unknown", length=3.0, beam=1.2, draft=0.3, mass=300.0, speed=speed, shaft_speed=20.0,
+        name=recording.name, length=3.0, beam=1.2, draft=0.3, mass=300.0,
+        speed=float(f"{speed:.3g}"), shaft_speed=float(f"{shaft:.3g}") or 20.0,
         instruments=instruments,
+        steering="differential" if fixed else "drives",
     )  # fmt: skip
 
 
@@ -181,37 +176,16 @@ def particulars_text(
         Of the boat. Without them the keys that no log shows stand as comments to fill in, and
         the file is refused until that is done.
     """
-    if particulars is not None:
-        text = dataclasses.replace(particulars, instruments=instruments).to_toml()
-    else:
-        text = _template(recording, instruments)
+    boat = particulars or typical_boat(recording, instruments)
+    if particulars is None:
+        seen = {"speed": "upper quartile of the log", "shaft_speed": "at that speed and above"}
+        reasons = reasons | seen | {"steering": "by the angles in the log"}
     lines = []
-    for line in text.splitlines():
+    for line in dataclasses.replace(boat, instruments=instruments).to_toml().splitlines():
         key = line.partition(" = ")[0]
-        lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
+        if particulars is None and key in ("length", "beam", "draft", "mass"):
+            lines.append(f"# {key} = ?  # fill in")
+        else:
+            lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
     head = f"# Instruments estimated from {recording.name} by usv-twin check;"
     return "\n".join([head, "# those without a comment are not.", *lines]) + "\n"
-
-
-def _template(recording: Recording, instruments: Instruments) -> str:
-    """Return the text for a boat of which only its log is known."""
-    speed, shaft = _speed_and_shaft(recording)
-    fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
-    lines = [
-        "[particulars]",
-        f"name = {json.dumps(recording.name, ensure_ascii=False)}",
-        "# length = ?    # fill in: m, on the waterline",
-        "# beam = ?      # fill in: m",
-        "# draft = ?     # fill in: m",
-        "# mass = ?      # fill in: kg",
-        f"speed = {speed:.3g}  # upper quartile of the log" if speed == speed else "# speed = ?",
-        f"shaft_speed = {shaft:.3g}  # at that speed" if shaft == shaft else "# shaft_speed = ?",
-        f'steering = "{"differential" if fixed else "drives"}"  # '
-        + ("no angle changes in the log" if fixed else "the log has angles"),
-        "",
-        "[instruments]",
-    ]
-    for item in dataclasses.fields(instruments):
-        value = getattr(instruments, item.name)
-        lines.append(f"{item.name} = {list(value) if isinstance(value, tuple) else value!r}")
-    return "\n".join(lines)

@@ -45,7 +45,7 @@ FIXED_COST, FITTED_COST = 3.0, 8.0
 """Of a fault without a number, and of one with a number that is fitted."""
 
 MORE_COST = 2.0
-"""Of each further mistake that a fault is made of, and of each window that one explains alone."""
+"""Of each further mistake that a fault is made of, and of each sample that one explains alone."""
 
 ONE_SIDE_COST = 25.0
 """Of a fault of one side: thrusts of both are seldom even."""
@@ -74,9 +74,13 @@ class Scan(NamedTuple):
     values: Sequence[float]
 
 
-def _scan(nominal: float, least: float, first: float, last: float, count: int = 13) -> Scan:
-    spaced = np.geomspace if nominal else np.linspace
-    return Scan(nominal, least, spaced(first, last, count).tolist())
+def _angles(least_degrees: float) -> Scan:
+    least, most = math.radians(least_degrees), 0.95 * math.pi
+    return Scan(0.0, least, np.linspace(-most, most, 13).tolist())
+
+
+def _scales(least: float) -> Scan:
+    return Scan(1.0, least, np.geomspace(0.1, 10.0, 11).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +96,7 @@ class Hypothesis:
     scan: Scan | None = None
     severity: str = ERROR
     cost: float = 0.0  # beyond that of any fault
-    alone: bool = False  # whether it explains each window by itself
+    alone: bool = False  # whether it explains each sample by itself
 
     def words(self, text: str, size: float) -> str:
         """Return a text with the number in it; angles in degrees."""
@@ -222,12 +226,8 @@ def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesi
 
 
 QUARTER = 0.5 * math.pi
-OFF = _scan(0.0, math.radians(10.0), -3.0, 3.0)
-TURNED = _scan(0.0, math.radians(4.0), -3.0, 3.0)
-FAR_TURNED = _scan(0.0, math.radians(30.0), -3.0, 3.0)
-SCALE, GRAVITY_SCALE = _scan(1.0, 0.15, 0.1, 10.0), _scan(1.0, 0.05, 0.1, 10.0)
-ZERO = _scan(0.0, 0.01, -0.3, 0.3)
-DELAY = _scan(0.0, 0.2, 0.0, 3.0)
+ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
+DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 MOUNTING = "state imu_mounting in [instruments] of the particulars: there {value} rad"
 FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"
@@ -247,7 +247,7 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     _measured("offset", "compass", "the heading is {size} degrees off the motion in any direction",
-              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), OFF),
+              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), _angles(10.0)),
     _measured("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
               _late(*COMPASS), DELAY),
     *_mirrored("fixes", FIX),
@@ -259,10 +259,11 @@ TABLE: tuple[Hypothesis, ...] = (
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
                _of_way, alone=True),
     _measured("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
-              "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY), SCALE),
+              "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
+              _scales(0.15)),
     _measured("offset", "velocity", "the velocity points {size} degrees off the track of the fixes",
               f"{PLUS}: courses count from true north, clockwise", VELOCITY, _turned(VELOCITY),
-              OFF),
+              _angles(10.0)),
     _measured("late", "gps", "the GPS comes {size} s late",
               "gps_latency = {value} in [instruments] of the particulars", (*FIX, *VELOCITY),
               _late(*FIX, *VELOCITY), DELAY),
@@ -280,15 +281,15 @@ TABLE: tuple[Hypothesis, ...] = (
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     _measured("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              MOUNTING, FORCES[:2], _turned(FORCES[:2]), FAR_TURNED),
+              MOUNTING, FORCES[:2], _turned(FORCES[:2]), _angles(30.0)),
     *(_measured("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", MOUNTING, (*GYROS, *FORCES),
-                _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), TURNED)
+                _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
       for axis, a, b in (("second", 2, 0), ("first", 1, 2), ("third", 0, 1))),
     _measured("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
-              FORCES, _scaled(*FORCES), GRAVITY_SCALE),
+              FORCES, _scaled(*FORCES), _scales(0.05)),
     *(_measured("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
-                _scaled(name), SCALE) for name in GYROS),
+                _scaled(name), _scales(0.15)) for name in GYROS),
     _measured("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
               f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
     _measured("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
@@ -334,8 +335,8 @@ class _Trial(NamedTuple):
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
     """Return what a hypothesis explains; of a number, commands know little."""
-    known = () if each.scan is None else BY_COMMANDS
-    return sum(gain(before[name], after[name]) for name in before if name not in known)
+    known = None if each.scan is None else BY_COMMANDS
+    return sum(gain(before[name], after[name]) for name in before if name != known)
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
@@ -362,11 +363,6 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
         return _total(base, after, each), changed, after
 
     size, sd, cost = math.nan, math.nan, each.cost + FIXED_COST
-    if each.alone:
-        known = [
-            one.samples for one in base.values() if one and not one.uses.isdisjoint(each.changed)
-        ]
-        cost += MORE_COST * min(known, default=0)
     if each.scan is not None:
         cost = each.cost + FITTED_COST
         values = np.array(each.scan.values)
@@ -384,6 +380,9 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
                 size += width if right > left else -width
             width *= 0.4
     score, changed, after = at(size)
+    if each.alone:  # as many numbers as there are independent samples
+        used = [one for one in after.values() if one and not one.uses.isdisjoint(each.changed)]
+        cost += MORE_COST * min((one.independent for one in used), default=0.0)
     return _Trial(each, size, sd, score - cost, changed, after)
 
 
