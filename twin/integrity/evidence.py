@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.optimize import nnls
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, SENSORS, VELOCITY
+from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, HUGE, MANY, SENSORS, VELOCITY
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, averaged, integrated, ways
 from twin.particulars import GRAVITY, Instruments
@@ -66,6 +66,9 @@ SLOW_S = 6.0
 TILT_RAD = math.radians(2.0)
 """A boat heels and trims by about so much in the mean, where no AHRS shows it."""
 
+STILL = 0.02
+"""Commands that change by a smaller share of their size tell nothing."""
+
 ARC_RAD, SLOW_SHARE = 1.5, 0.2
 """Over a larger turn a way tells no direction; nor below this share of the largest speed."""
 
@@ -97,7 +100,7 @@ class Signals:
 
     def has(self, *names: str) -> bool:
         """Return whether columns are there, with enough samples to compare."""
-        return all(np.isfinite(self[name]).sum() > 5 * ENOUGH for name in names)
+        return all(np.isfinite(self[name]).sum() >= MANY for name in names)
 
     def stacked(self, *names: str) -> Array:
         """Return columns, shape (k, N)."""
@@ -129,16 +132,17 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
         Their stated latency and mounting are taken out.
     """
     t = recording.t
-    if len(t) < 3 * ENOUGH:
+    if len(t) < MANY:
         return None
     stated = instruments or Instruments()
     rows = float(np.median(np.diff(t)))
     step = max(GRID_S, rows, float(t[-1] - t[0]) / GRID_POINTS)
     grid = np.arange(t[0], t[-1], step)
-    if len(grid) < 3 * ENOUGH:
+    if len(grid) < MANY:
         return None
     last = (np.searchsorted(t, grid, "right") - 1).clip(0)
-    columns, intervals, way_s = {}, {}, 2.0
+    columns, intervals = dict[str, Array](), dict[str, float]()
+    way_s = 2.0
     for j, name in enumerate(COMMANDS):
         given = np.nan_to_num(recording.cmd[:, j])
         means = averaged(t, given, grid, step) if step > 2.0 * rows else given[last]
@@ -202,7 +206,7 @@ def _compare(x: npt.NDArray[Any], y: npt.NDArray[Any], uses: frozenset[str]) -> 
     weight = np.minimum(1.0, 4.0 * float(np.median(left)) / np.maximum(left, 1e-300))
     both = float(weight @ (np.abs(x) ** 2 + np.abs(y) ** 2))
     square = float(weight @ left**2)
-    if not 0.0 < both < 1e100:
+    if not 0.0 < both < HUGE:
         return None
     d = np.sqrt(weight) * (x - y)
     # neighbours say the same
@@ -276,16 +280,16 @@ def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array
     return forces[0] * np.cos(pitch) + down * np.sin(pitch), aside
 
 
-def _turned(s: Signals, name: str, axis: int, least: float, samples: float) -> Pair:
+def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     """Changes of an angle, and of the integrated gyro less its bias."""
-    width = s.width(least, samples, name, GYROS[axis])
+    width = s.width(least_s, 6.0, name, GYROS[axis])
     gyros = s.stacked(*GYROS)
     if s.has(*ANGLES, *GYROS):
-        gyros = np.array(angle_rates(*s.stacked(*ANGLES), gyros))
+        gyros = np.array(angle_rates(s[ANGLES[0]], s[ANGLES[1]], gyros))
     angle, rate = s[name], _sum(gyros[axis], s.step)
     x, y = _changes(angle, width), _changes(rate, width)
     # as long as noise is a part of it
-    while len(x) > 8 * ENOUGH and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
+    while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
         width *= 2
         x, y = _changes(angle, width), _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
@@ -303,21 +307,28 @@ def _accelerations(s: Signals) -> npt.NDArray[np.complex128]:
     return level * np.exp(1j * s["compass_rad"])
 
 
+def _both(s: Signals, x: npt.NDArray[Any], rate: npt.NDArray[Any], width: int, order: int) -> Pair:
+    """Return changes of a signal, and of the integral of its rate."""
+    return _changes(x, width, order), _changes(_sum(rate, s.step), width, order)
+
+
+def _gone(s: Signals) -> Pair:
+    """Way of the fixes, and of the integrated velocity."""
+    return _both(s, s.level(FIX), s.level(VELOCITY), s.width(s.way_s, 2.0, *FIX), 1)
+
+
 def _pushed(s: Signals) -> Pair:
     """Changes of the level velocity, or of that of the fixes, and of the integrated forces."""
-    speed = _sum(_accelerations(s), s.step)
+    force = _accelerations(s)
     if s.has(*VELOCITY):
-        width = s.width(1.0, 2.0, *VELOCITY)
-        return _changes(s.level(VELOCITY), width, 2), _changes(speed, width, 2)
-    width = s.width(2.0, 4.0, *FIX)
-    return _changes(s.level(FIX), width, 3), _changes(_sum(speed, s.step), width, 3)
+        return _both(s, s.level(VELOCITY), force, s.width(1.0, 2.0, *VELOCITY), 2)
+    return _both(s, s.level(FIX), _sum(force, s.step), s.width(2.0, 4.0, *FIX), 3)
 
 
 def _heaved(s: Signals) -> Pair:
     """Changes of the vertical speed, and of the integrated vertical force."""
-    width, force = s.width(0.5, 2.0, "gps_vz_mps"), s[FORCES[2]]
-    speed = _sum(force - np.nanmean(force), s.step)
-    return _changes(s["gps_vz_mps"], width, 2), _changes(speed, width, 2)
+    force = s[FORCES[2]] - np.nanmean(s[FORCES[2]])
+    return _both(s, s["gps_vz_mps"], force, s.width(0.5, 2.0, "gps_vz_mps"), 2)
 
 
 def _risen(s: Signals) -> Pair:
@@ -326,14 +337,7 @@ def _risen(s: Signals) -> Pair:
     if not s.has("gps_vz_mps"):
         total = _sum(s[FORCES[2]] - np.nanmean(s[FORCES[2]]), s.step)
         climb = total - _mean(total, s.width(SLOW_S, 0.0, "gps_z_m"))
-    width = s.width(1.0, 2.0, "gps_z_m")
-    return _changes(s["gps_z_m"], width, 2), _changes(_sum(climb, s.step), width, 2)
-
-
-def _gone(s: Signals) -> Pair:
-    """Way of the fixes, and of the integrated velocity."""
-    width = s.width(s.way_s, 2.0, *FIX)
-    return _changes(s.level(FIX), width), _changes(_sum(s.level(VELOCITY), s.step), width)
+    return _both(s, s["gps_z_m"], climb, s.width(1.0, 2.0, "gps_z_m"), 2)
 
 
 def _weighed(s: Signals) -> Pair:
@@ -408,9 +412,8 @@ def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Ar
     known = np.column_stack([*(column[ok] for column in own), np.ones(int(ok.sum()))])
     both = np.column_stack([change[ok], *(column[ok] for column in commands)])
     left = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
-    # of commands that hardly change nothing can be told
     size = np.linalg.norm(left, axis=0)
-    still = size < 0.02 * np.linalg.norm(both, axis=0)
+    still = size < STILL * np.linalg.norm(both, axis=0)
     still[0] = False
     left[:, still] = 0.0
     return left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
@@ -433,7 +436,7 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     total = force.sum(axis=0)
     acts = [force[0] - force[1]]
     if np.ptp(steering) > 0.0:
-        if np.std(acts[0]) < 0.02 * np.abs(total).max(initial=0.0):
+        if np.std(acts[0]) < STILL * np.abs(total).max(initial=0.0):
             del acts[0]
         acts.append(steering.mean(axis=0) * (total if total.any() else np.ones_like(total)))
     half = max(round(0.5 * horizon / s.step), 1)
@@ -446,33 +449,54 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
 
 
-def _yawed(s: Signals) -> Pair:
-    """Changes of the yaw rate by the compass, and what the commands make of it.
+def _explained(change: Array, own: list[Array], commands: list[Array]) -> Pair:
+    """Return a change without what the motion itself explains, and what commands make of it.
 
     More of a command makes more of the motion: no effect is below 0.
     """
-    change, own, commands = _turns_by(s, s.horizon_s)
     found = _without(change, own, commands)
-    if s.horizon_s == 0.0 or found is None:
+    if found is None:
         return change[:0], change[:0]
     return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
 
 
-BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", "turns and commands"
-"""The comparison with one value for all time, and the one with a model of the boat, a rough one."""
+def _yawed(s: Signals) -> Pair:
+    """Changes of the yaw rate by the compass, and what the commands make of it."""
+    if s.horizon_s == 0.0:
+        return np.zeros(0), np.zeros(0)
+    return _explained(*_turns_by(s, s.horizon_s))
+
+
+def _surged(s: Signals) -> Pair:
+    """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
+    width = s.width(s.way_s, 2.0, *FIX)
+    way = _changes(s.level(FIX), width) / (width * s.step)
+    rows = np.arange(width, len(s.t), width)[: len(way)]
+    heading = _mean(s["compass_rad"], width)[rows]
+    ahead, turned = (way[: len(rows)] * np.exp(-1j * heading)).real, np.diff(heading)
+    shafts = s.stacked(*COMMANDS[:2])
+    force = _mean((shafts * np.abs(shafts)).sum(axis=0), width)
+    between = force[np.minimum(rows + width // 2, len(s.t) - 1)][:-1]
+    now = np.where(np.abs(turned) < ARC_RAD, ahead[:-1], math.nan)
+    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])
+
+
+BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")
+"""The comparison with one value for all time; those with a model of the boat, which is rough."""
 
 COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
     "fixes and velocity": _gone,
-    "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0, 6.0),
+    "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0),
     "track and compass": _track,
     "course and compass": _course,
     "velocity and accelerometers": _pushed,
-    "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5, 2.0),
-    "pitch of AHRS and gyro": lambda s: _turned(s, ANGLES[1], 1, 0.5, 2.0),
+    "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5),
+    "pitch of AHRS and gyro": lambda s: _turned(s, ANGLES[1], 1, 0.5),
     "vertical speed and accelerometer": _heaved,
     "height and vertical speed": _risen,
     BY_GRAVITY: _weighed,
-    BY_COMMANDS: _yawed,
+    BY_COMMANDS[0]: _yawed,
+    BY_COMMANDS[1]: _surged,
 }
 """What gives two signals that are equal if all is sound."""
 

@@ -116,7 +116,7 @@ def estimate_instruments(
     }
 
     def set_noise(key: str, value: float, why: str) -> None:
-        if math.isfinite(value) and value < 1e6:
+        if value < HUGE:
             least = LEAST[key]
             found[key] = (max(value, least), why if value > least else f"{why}, least value")
 
@@ -127,11 +127,11 @@ def estimate_instruments(
         set_noise("gps_sd", noise["fix"], "scatter from fix to fix")
     for key, sensor in NOISY.items():
         set_noise(key, noise[sensor], "scatter from sample to sample")
-    if noise["accelerometers"] < 1e6:
+    if noise["accelerometers"] < HUGE:
         scatter = math.hypot(noise["accelerometers"], UPRIGHT_MPS2)
         found["accel_sd"] = scatter, f"scatter from sample to sample, and {UPRIGHT_MPS2} for tilt"
     bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
-    if bias is not None and abs(bias.value) < 0.1:
+    if bias is not None:
         found["gyro_bias_sd"] = max(abs(bias.value), 5e-4), "mean difference from the compass"
     if late is not None and late.sd < KNOWN_S < late.value + KNOWN_S:
         found["gps_latency"] = min(late.value, LATENCY_MAX), "best agreement with accelerometers"

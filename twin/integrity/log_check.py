@@ -42,6 +42,7 @@ from twin.integrity.rows import (
     FIX,
     FORCES,
     GYROS,
+    MANY,
     SENSORS,
     check_cells,
     check_commands,
@@ -111,7 +112,7 @@ class LogCheck:
     def agreement(self) -> tuple[str, ...]:
         """How sensors and commands agree with each other, a line each."""
         return tuple(
-            f"{name}: agree by {share:.1%}" if share > 0.3 else f"{name}: cannot tell"
+            f"{name}: agree by {share:.1%}" if share > 0.5 else f"{name}: cannot tell"
             for name, share in self.agreed.items()
         )
 
@@ -203,7 +204,7 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
     recording, found = without_marks(recording)
     found += check_time(recording) + check_cells(recording)
     base = Instruments() if particulars is None else particulars.instruments
-    if len(recording.t) < 3 * ENOUGH:
+    if len(recording.t) < MANY:
         return LogCheck(_sorted(found), sensor_figures(recording), {}, base, {}, recording)
     found += check_silence(recording) + check_leaps(recording)
     kept = _without_gross(recording, found)

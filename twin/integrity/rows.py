@@ -23,6 +23,8 @@ __all__ = [
     "FIX",
     "FORCES",
     "GYROS",
+    "HUGE",
+    "MANY",
     "SENSORS",
     "VELOCITY",
     "check_cells",
@@ -57,6 +59,9 @@ SENSORS: dict[str, tuple[str, ...]] = {
     "vertical speed": ("gps_vz_mps",),
 }
 """Sensors and the columns that come together."""
+
+MANY = 3 * ENOUGH
+"""Fewer samples than this tell no motion."""
 
 ROWS_S = 5.0
 """Rows that are farther apart, in the median, hardly count seconds."""
@@ -186,7 +191,7 @@ def fix_scatter(t: Array, fix: Array) -> tuple[float, float, float]:
 
     A stamp that is wrong by dt moves the fix along the track by speed times dt, not across it.
     """
-    if len(t) < 3 * ENOUGH:
+    if len(t) < MANY:
         return 0.0, 0.0, 0.0
     left, way = interpolation_residual(t, fix), fix[4:] - fix[:-4]
     length = np.hypot(*way.T)
@@ -281,8 +286,8 @@ def _silent(
         same = bool(inside.sum() > 0.5 * rows.sum())
         after = size[new[k] - 1] if 0 < k < len(new) else 0.0
         others = size[~inside[1:]]
-        # one that is coarse, of a boat that rests, goes on with a step like others
-        fault = np.mean(others == 0.0) < FINE or after > 2.0 * np.quantile(others, 0.99)
+        # one that is coarse, of a boat that rests, goes on with no larger step than others
+        fault = np.mean(others == 0.0) < FINE or after > others.max(initial=0.0)
         if (sensor == "rows" and same) or (sensor != "rows" and (fault or not same)):
             spans.append(k)
             still |= same
@@ -341,7 +346,7 @@ def check_leaps(recording: Recording) -> list[Finding]:
 
 def _leap(t: Array, values: Array, least: float) -> tuple[int, float, int] | None:
     """Return after which sample values leap most, by how much, and how often, if they do."""
-    if len(t) < 3 * ENOUGH:
+    if len(t) < MANY:
         return None
     step, width = np.diff(values, axis=0), np.diff(t)
     speed = step / width[:, None]
@@ -366,7 +371,7 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     # made of speed and course, a mark is in both
     for names, values in [*groups, (VELOCITY, np.hypot(*recording.z[:, 2:4].T).round(9))]:
         seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
-        for value in seen[count >= 3]:
+        for value in seen[count > 2]:
             others = np.repeat(seen[seen != value], count[seen != value])
             if len(others) < ENOUGH:
                 continue
@@ -412,7 +417,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
         if particulars is not None and SHARE not in name and n.any():
             found += _shaft_unit(recording, name, n, at, speed, particulars)
     if particulars is not None:
-        unequal = np.abs(n[:, 0] - n[:, 1]).mean() > 0.05 * np.abs(n).mean()
+        unequal = (n[:, 0] != n[:, 1]).mean() > 0.5
         fixed = particulars.steering == "differential"
         moved = float(np.ptp(delta, axis=0).max()) > SMALL_ANGLE_RAD
         if (fixed and moved) or (not fixed and not delta.any() and unequal):
@@ -426,7 +431,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
 def speed_of(recording: Recording) -> tuple[Array, Array] | None:
     """Return times (M,), s, and velocities over ground (M, 2), m/s, of the fixes, if any."""
     t, fix = recording.samples(*FIX)
-    if len(t) < 3 * ENOUGH:
+    if len(t) < MANY:
         return None
     way, middle, step = ways(t, fix)
     known = np.isfinite(way).all(axis=1)
@@ -439,9 +444,9 @@ def _shaft_unit(
     """Return a finding about shaft speeds in another unit, by the way that a turn makes."""
     typical = float(np.quantile(np.abs(n[n != 0.0]), 0.95))
     turns = averaged(recording.t, np.abs(n).mean(axis=1), at, 2.0 * float(np.median(np.diff(at))))
-    fast = (speed > 0.4 * speed.max()) & (turns > 0.2 * np.nanmax(turns, initial=0.0))
+    fast = (speed > 0.5 * speed.max()) & (turns > 0.5 * np.nanmax(turns, initial=0.0))
     times = max(typical / particulars.shaft_speed, 1.0)  # a boat that rests: by size alone
-    if fast.sum() >= 5:
+    if fast.sum() >= ENOUGH // 2:
         advance = float(np.quantile(speed[fast] / turns[fast], 0.75))
         times = particulars.speed / particulars.shaft_speed / advance
     if 1.0 / SHAFT_FAR < times < SHAFT_FAR:

@@ -38,20 +38,18 @@ __all__ = ["Hypothesis", "Measured", "Undone", "explain", "measured", "unseen_fa
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
 
-ENOUGH_GAIN = 12.0
+ENOUGH_GAIN = 15.0
 """Log-likelihood, beyond what a fault costs, from which on it is one."""
 
-FIXED_COST, FITTED_COST = 3.0, 8.0
-"""Of a fault without a number, and of one with a number that is fitted."""
+NUMBER_COST = 5.0
+"""Of a number that is fitted."""
 
 MORE_COST = 2.0
-"""Of each further mistake that a fault is made of, and of each sample that one explains alone."""
+"""Of each further mistake that a fault is made of, and of each sample that one explains alone; a
+rival that explains a log so nearly as well is named beside the best."""
 
 ONE_SIDE_COST = 25.0
 """Of a fault of one side: thrusts of both are seldom even."""
-
-RIVAL = 3.0
-"""A rival that explains a log so nearly as well is named beside the best."""
 
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
@@ -225,7 +223,7 @@ def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesi
     return Hypothesis(code, side, what, remedy, SHAFTS, undo, severity=WARNING, cost=ONE_SIDE_COST)
 
 
-QUARTER = 0.5 * math.pi
+QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
 ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
 DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
@@ -247,7 +245,7 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     _measured("offset", "compass", "the heading is {size} degrees off the motion in any direction",
-              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), _angles(10.0)),
+              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
     _measured("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
               _late(*COMPASS), DELAY),
     *_mirrored("fixes", FIX),
@@ -263,7 +261,7 @@ TABLE: tuple[Hypothesis, ...] = (
               _scales(0.15)),
     _measured("offset", "velocity", "the velocity points {size} degrees off the track of the fixes",
               f"{PLUS}: courses count from true north, clockwise", VELOCITY, _turned(VELOCITY),
-              _angles(10.0)),
+              ASKEW),
     _measured("late", "gps", "the GPS comes {size} s late",
               "gps_latency = {value} in [instruments] of the particulars", (*FIX, *VELOCITY),
               _late(*FIX, *VELOCITY), DELAY),
@@ -335,15 +333,15 @@ class _Trial(NamedTuple):
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
     """Return what a hypothesis explains; of a number, commands know little."""
-    known = None if each.scan is None else BY_COMMANDS
-    return sum(gain(before[name], after[name]) for name in before if name != known)
+    known = () if each.scan is None else BY_COMMANDS
+    return sum(gain(before[name], after[name]) for name in before if name not in known)
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
     """Return the score of a hypothesis that explains all that it touches."""
     touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
-    return most - each.cost - FITTED_COST
+    return most - each.cost - NUMBER_COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
@@ -362,9 +360,9 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
         after = log_likelihood(changed, each.changed, base)
         return _total(base, after, each), changed, after
 
-    size, sd, cost = math.nan, math.nan, each.cost + FIXED_COST
+    size, sd, cost = math.nan, math.nan, each.cost
     if each.scan is not None:
-        cost = each.cost + FITTED_COST
+        cost += NUMBER_COST
         values = np.array(each.scan.values)
         scores = [at(float(value))[0] for value in values]
         size = float(values[np.argmax(scores)])
@@ -387,12 +385,12 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
 
 
 def _counts(trial: _Trial) -> bool:
-    """Return whether the interval of a parameter excludes its nominal value."""
+    """Return whether a parameter is far from its nominal value: so is its interval, then."""
     scan = trial.hypothesis.scan
     if scan is None:
         return True
     inside = scan.values[0] <= trial.size <= scan.values[-1]
-    return inside and abs(trial.size - scan.nominal) > max(scan.least, 4.0 * trial.sd)
+    return inside and abs(trial.size - scan.nominal) > scan.least
 
 
 class Undone(NamedTuple):
@@ -433,7 +431,7 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         plain = [t for t in likely if t.hypothesis.scan is None and t.score > PLAIN * best.score]
         if best.hypothesis.scan is not None and plain:
             best = max(plain, key=lambda trial: trial.score)
-        near = [t for t in likely if t.score > best.score - RIVAL and t is not best]
+        near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(Undone(best.hypothesis, best.size))
         s, base = best.signals, best.evidence
