@@ -246,12 +246,12 @@ def check_silence(recording: Recording) -> list[Finding]:
     """Return findings where a sensor that works gives nothing new for long, or all at once do."""
     coarse = [name for name in MEASUREMENTS if _repeats(recording, name) > 0.5]
     moving = tuple(name for name in MEASUREMENTS if name not in coarse)
-    found = _silent(recording, "rows", moving, STALE_S) if len(moving) > 1 else []
+    found = _silent(recording, "rows", moving, STALE_S, GAP_STEPS) if len(moving) > 1 else []
     for sensor, names in SENSORS.items():
-        lost = _silent(recording, sensor, names, SILENT_S)
+        lost = _silent(recording, sensor, names)
         if len(names) > 1 and not lost and names not in (FIX, VELOCITY):
             for name in names:
-                lost += _silent(recording, name, (name,), SILENT_S)
+                lost += _silent(recording, name, (name,))
         found += lost
     return found
 
@@ -263,9 +263,13 @@ def _repeats(recording: Recording, name: str) -> float:
 
 
 def _silent(
-    recording: Recording, sensor: str, names: tuple[str, ...], least_s: float
+    recording: Recording,
+    sensor: str,
+    names: tuple[str, ...],
+    least_s: float = SILENT_S,
+    samples: float = SILENT_SAMPLES,
 ) -> list[Finding]:
-    """Return a finding where columns are missing or the same for long."""
+    """Return a finding where columns are missing or the same for so long, and so many samples."""
     z = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
     given = np.flatnonzero(np.isfinite(z).all(axis=1))
     t, values = recording.t[given], z[given]
@@ -278,7 +282,7 @@ def _silent(
     step = np.diff(recording.t)
     skipped = np.append(0.0, np.cumsum(np.where(is_gap(recording.t), step, 0.0)))
     silence = np.diff(edges) - np.diff(np.interp(edges, recording.t, skipped))
-    bound = max(SILENT_SAMPLES * float(np.median(np.diff(edges))), least_s)
+    bound = max(samples * float(np.median(np.diff(edges))), least_s)
     spans, still = [], False
     for k in np.flatnonzero(silence > bound):
         inside = (t > edges[k]) & (t < edges[k + 1])

@@ -64,6 +64,10 @@ COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
 SHAFTS, STEERING = COMMANDS[:2], COMMANDS[2:]
 
 
+OUTRIGHT = {("scale", "velocity"), ("axes", "accelerometers")}
+"""Code and sensor of faults with a number that are errors."""
+
+
 class Scan(NamedTuple):
     """Values of a parameter that are tried, and how far from nominal it is a fault."""
 
@@ -95,6 +99,11 @@ class Hypothesis:
     severity: str = ERROR
     cost: float = 0.0  # beyond that of any fault
     alone: bool = False  # whether it explains each sample by itself
+
+    @property
+    def plain(self) -> bool:
+        """Whether it has no number."""
+        return self.scan is None and not self.alone
 
     def words(self, text: str, size: float) -> str:
         """Return a text with the number in it; angles in degrees."""
@@ -213,21 +222,22 @@ def _measured(
     code: str, sensor: str, what: str, remedy: str, names: tuple[str, ...], undo: Undo, scan: Scan
 ) -> Hypothesis:
     """Return a fault with a number."""
-    return Hypothesis(code, sensor, what, remedy, names, undo, scan, WARNING)
+    severity = ERROR if (code, sensor) in OUTRIGHT else WARNING
+    return Hypothesis(code, sensor, what, remedy, names, undo, scan, severity)
 
 
 def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesis:
     """Return a fault of one shaft."""
     remedy = "check this thruster, or its column in the mapping"
-    undo = _map(SHAFTS, np.diag(factors))
-    return Hypothesis(code, side, what, remedy, SHAFTS, undo, severity=WARNING, cost=ONE_SIDE_COST)
+    undo, severity = _map(SHAFTS, np.diag(factors)), ERROR if code == "sign" else WARNING
+    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, severity, ONE_SIDE_COST)
 
 
 QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
 ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
 DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
-MOUNTING = "state imu_mounting in [instruments] of the particulars: there {value} rad"
+STATED = "in [instruments] of the particulars"
 FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"
 
 TABLE: tuple[Hypothesis, ...] = (
@@ -263,7 +273,7 @@ TABLE: tuple[Hypothesis, ...] = (
               f"{PLUS}: courses count from true north, clockwise", VELOCITY, _turned(VELOCITY),
               ASKEW),
     _measured("late", "gps", "the GPS comes {size} s late",
-              "gps_latency = {value} in [instruments] of the particulars", (*FIX, *VELOCITY),
+              f"gps_latency = {{value}} {STATED}", (*FIX, *VELOCITY),
               _late(*FIX, *VELOCITY), DELAY),
     _measured("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
     _measured("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
@@ -279,11 +289,13 @@ TABLE: tuple[Hypothesis, ...] = (
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     _measured("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              MOUNTING, FORCES[:2], _turned(FORCES[:2]), _angles(30.0)),
+              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), _angles(30.0)),
     *(_measured("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
-                "the boat lies so", MOUNTING, (*GYROS, *FORCES),
+                "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
                 _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
-      for axis, a, b in (("second", 2, 0), ("first", 1, 2), ("third", 0, 1))),
+      for axis, a, b, angles in (("second", 2, 0, "0.0, {value}, 0.0"),
+                                 ("first", 1, 2, "{value}, 0.0, 0.0"),
+                                 ("third", 0, 1, "0.0, 0.0, {value}"))),
     _measured("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
               FORCES, _scaled(*FORCES), _scales(0.05)),
     *(_measured("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
@@ -428,8 +440,8 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         if not likely:
             break
         best = max(likely, key=lambda trial: trial.score)
-        plain = [t for t in likely if t.hypothesis.scan is None and t.score > PLAIN * best.score]
-        if best.hypothesis.scan is not None and plain:
+        plain = [t for t in likely if t.hypothesis.plain and t.score > PLAIN * best.score]
+        if plain:
             best = max(plain, key=lambda trial: trial.score)
         near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
         found.append(_finding(best, near, s.latency))
