@@ -15,7 +15,7 @@ from twin.logs.clock import SORT, set_back, stood_in_gap
 from twin.logs.columns import SHARE
 from twin.logs.jumps import find_jumps
 from twin.logs.recording import Recording, wild_stamps
-from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
+from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
 from twin.particulars import Particulars
 
 __all__ = [
@@ -376,13 +376,13 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     for names, values in [*groups, (VELOCITY, np.hypot(*recording.z[:, 2:4].T).round(9))]:
         seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
         for value in seen[count > 2]:
-            others = np.repeat(seen[seen != value], count[seen != value])
-            if len(others) < ENOUGH:
+            rows, others = values == value, np.repeat(seen[seen != value], count[seen != value])
+            long = rows.sum() > SILENT_SAMPLES * np.median(count)
+            if len(others) < ENOUGH or not (long or len(runs_of(rows)) > 2):
                 continue
             low, high = np.quantile(others, [0.01, 0.99])
             if max(low - value, value - high) < high - low:
                 continue
-            rows = values == value
             for name in names:
                 z[rows, MEASUREMENTS.index(name)] = np.nan
             what = (

@@ -20,6 +20,7 @@ from tests.twin.integrity.damaged import (
     TILTED,
     VELOCITY,
     columns_of,
+    course_in_degrees,
     late,
     recording,
     scaled,
@@ -85,6 +86,21 @@ def test_a_fault_of_roll_pitch_or_heave_is_named(name: str) -> None:
     code, fault = TILTED[name]
     log, boat = sound("otter", "random", 0.5, dof=6)
     assert code in serious(check_recording(recording(log, fault), boat))
+
+
+def test_a_course_in_degrees_is_named_on_a_boat_that_planes() -> None:
+    """It slides in turns, so that only the fixes tell the course."""
+    log, boat = sound("telemetron", "zigzag", 0.5)
+    assert serious(check_recording(recording(log, course_in_degrees), boat)) == {"unit:velocity"}
+
+
+def test_a_fix_far_away_that_is_held_is_a_jump_and_no_mark() -> None:
+    def hold(data: dict[str, np.ndarray]) -> None:
+        for name in FIX:
+            data[name][1000:1004] = 700.0
+
+    log, boat = sound(*RUNS["otter"])
+    assert serious(check_recording(recording(log, hold), boat)) == {"jump:fix"}
 
 
 def test_a_step_aside_is_named_with_its_size_and_time() -> None:
