@@ -230,12 +230,13 @@ def _mean(values: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
     """Return means over so many steps around each; NaN where some are missing."""
     lost = np.isnan(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(lost, 0.0, values))])
-    missing = np.concatenate([[0], np.cumsum(lost)])
     half, found = count // 2, np.full(len(values), np.nan, dtype=total.dtype)
     if count > len(values):
         return found
     means = (total[count:] - total[:-count]) / count
-    means[missing[count:] > missing[:-count]] = np.nan
+    if lost.any():
+        missing = np.concatenate([[0], np.cumsum(lost)])
+        means[missing[count:] > missing[:-count]] = np.nan
     found[half : half + len(means)] = means
     return found
 

@@ -364,8 +364,8 @@ def _explains(before: Evidence, after: Evidence) -> bool:
     )
 
 
-def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
-    """Return what a hypothesis explains, its number at its best."""
+def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> _Trial:
+    """Return what a hypothesis explains, its number at its best; a harmless one roughly."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
@@ -381,6 +381,8 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
         width = 0.3 * size if each.scan.nominal == 1.0 else float(values[1] - values[0])
         sd = math.inf
         for _ in range(5):  # parabolas, ever narrower
+            if harmless and abs(size - each.scan.nominal) + 2.0 * width < each.scan.least:
+                break
             left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
             bend = left - 2.0 * middle + right
             if bend < 0.0:
@@ -481,7 +483,7 @@ def measured(s: Signals, code: str, sensor: str) -> Measured | None:
     """Return the number of a fault, such as the delay of the GPS, whatever its size."""
     for each in hypotheses(s):
         if each.scan is not None and (each.code, each.sensor) == (code, sensor):
-            trial = _try(s, log_likelihood(s), each)
+            trial = _try(s, log_likelihood(s), each, harmless=False)
             return Measured(trial.size, trial.sd)
     return None
 
