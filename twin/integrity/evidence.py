@@ -388,9 +388,12 @@ def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
         left = side - known @ fit
         weight = float(left @ left) / len(v) * np.diag(prior**-2.0)
         fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
-    current, sign = size * (fit[0] + 1j * fit[1]), np.where(thrust[ok] < 0.0, -1.0, 1.0)
+    # no current is as fast as the boat, whatever it would explain
+    share = min(1.0, 2.0 * CURRENT_SHARE / max(math.hypot(fit[0], fit[1]), 1e-9))
+    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -DRIFT_RAD, DRIFT_RAD)
+    sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
     ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
-    return v, current + axes * (ahead + 1j * size * fit[2] * known[:, 2])
+    return v, current + axes * (ahead + 1j * size * drift * known[:, 2])
 
 
 def _track(s: Signals) -> Pair:
