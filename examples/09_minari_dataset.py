@@ -18,7 +18,6 @@ from minari.data_collector import EpisodeBuffer
 from twin.agents.evaluation import agents_named, make_envs
 from twin.model.rollout import HORIZONS
 from twin.sim.bridge import TRUE_STATE
-from twin.sim.unseen_twins import UnseenTwins
 
 OPTIONS = {"sea": "2", "faults": "gps30", "twin": "ukf", "frame_skip": 10}
 DESCRIPTION = f"""Episodes of an unmanned surface vessel. Infos have a row for each observation.
@@ -32,8 +31,7 @@ def look(envs, infos):
     """Return the truth of the boat, and the estimate and forecasts of its twin."""
     found = {name: np.array(infos[name][0]) for name in ("t_s", "cross_track_m", "is_success")}
     found["state"] = envs.simulation.state[0, list(TRUE_STATE)]
-    observer = envs.observer
-    twin = (observer.twins if isinstance(observer, UnseenTwins) else observer).overlay(0)
+    twin = envs.observer.overlay(0)
     none = np.full((len(HORIZONS), 6), np.nan)
     found["twin_state"] = none[0] if twin is None else twin.state
     found["twin_ahead"] = none if twin is None else twin.ahead

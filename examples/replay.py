@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import itertools
 import math
 import time
@@ -15,16 +14,22 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin import Log, recorded_runs
 from twin.channels import MEASUREMENTS
-from twin.live.protocols.mavlink import MavlinkWriter, Servos
-from twin.live.protocols.nmea import DAY, KNOT, NmeaWriter, clock_text
-from twin.live.protocols.sockets import FeedError, open_socket
+from twin.live.protocols.mavlink import (
+    UNKNOWN_HEADING,
+    UNKNOWN_PLACE,
+    UNKNOWN_SPEED,
+    MavlinkWriter,
+    Servos,
+)
+from twin.live.protocols.nmea import DAY, KNOT
+from twin.live.protocols.sockets import FeedError, needed, open_socket
 from twin.logs.datum import Plane
 from twin.sim.recorded import particulars_for_log
 
@@ -40,12 +45,59 @@ NOT_IN_NMEA = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gps_vz_mps")
 """Measurements that no sentence of NMEA 0183 holds."""
 
 
-class NmeaRows(NmeaWriter):
-    """Sentences of a row of a log; with ``tag`` each has a TAG block with its time."""
+class NmeaRows:
+    """Sentences of a talker, which has two letters; with ``tag`` rows have TAG blocks of time."""
 
     def __init__(self, talker: str, *, tag: bool = False) -> None:
-        super().__init__(talker)
-        self.tag = tag
+        self.checksum = needed("pynmeagps").calc_checksum
+        self.talker, self.tag = talker, tag
+
+    def line(self, kind: str, *fields: str) -> str:
+        """Return a sentence with its checksum."""
+        return self._whole(self.talker + kind, *fields)
+
+    def _whole(self, *fields: str) -> str:
+        content = ",".join(fields)
+        return f"${content}*{self.checksum(content)}\r\n"
+
+    def gga(
+        self, stamp: float, place: tuple[float, float], quality: int, height: float = math.nan
+    ) -> str:
+        """Return a fix; ``stamp`` is the time of day, s, ``height`` m above the sea."""
+        metres = "" if math.isnan(height) else f"{height:.3f}"
+        about = f"{quality}", "12", "0.8", metres, "M", "", "M", "", ""
+        return self.line("GGA", clock_text(stamp), *place_texts(place), *about)
+
+    def rmc(
+        self,
+        stamp: float,
+        day: date,
+        place: tuple[float, float] | None,
+        velocity: tuple[float, float] | None,
+        mode: str,
+    ) -> str:
+        """Return velocity over ground, m/s north and east, with place and date."""
+        sides = ["", "", "", ""] if place is None else place_texts(place)
+        motion = "", ""
+        if velocity is not None:
+            course = round(math.degrees(math.atan2(*velocity[::-1])) % 360.0, 3) % 360.0
+            motion = f"{math.hypot(*velocity) / KNOT:.4f}", f"{course:.3f}"
+        return self.line(
+            "RMC", clock_text(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode
+        )
+
+    def hdt(self, heading: float) -> str:
+        """Return a true heading, given in rad."""
+        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
+
+    def rot(self, rate: float) -> str:
+        """Return a rate of turn, given in rad/s."""
+        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
+
+    def tilt(self, stamp: float, angles: tuple[float, float]) -> str:
+        """Return roll and pitch, given in rad; fields of what is NaN are empty."""
+        texts = ("" if math.isnan(value) else f"{math.degrees(value):+.4f}" for value in angles)
+        return self._whole("PASHR", clock_text(stamp), "", "", *texts, "", "", "", "", "1")
 
     def wind(self, known: dict[str, float]) -> list[str]:
         """Return what measurements by name hold of the apparent and of the true wind."""
@@ -91,16 +143,16 @@ class NmeaRows(NmeaWriter):
         moves = not (math.isnan(north) or math.isnan(east))
         lines = [self.line("ZDA", clock_text(stamp), *f"{moment:%d %m %Y}".split(), "00", "00")]
         if place is not None:
-            lines.append(self.gga(stamp, *place, quality=4, height=-known["gps_z_m"]))
+            lines.append(self.gga(stamp, place, quality=4, height=-known["gps_z_m"]))
         if moves:
-            lines.append(self.rmc(stamp, moment.date(), place, north, east, mode="A"))
+            lines.append(self.rmc(stamp, moment.date(), place, (north, east), mode="A"))
         if not math.isnan(known["compass_rad"]):
             lines.append(self.hdt(known["compass_rad"]))
         if not math.isnan(known["gyro_radps"]):
             lines.append(self.rot(known["gyro_radps"]))
         tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
         if not all(map(math.isnan, tilt)):
-            lines.append(self.attitude(stamp, math.nan, tilt))
+            lines.append(self.tilt(stamp, tilt))
             lines += self.angles(dict(zip(("ROLL", "PTCH"), tilt, strict=True)))
         rates = known["gyro_x_radps"], known["gyro_y_radps"]
         lines += self.angles(dict(zip(("ROLLRATE", "PTCHRATE"), rates, strict=True)))
@@ -118,12 +170,71 @@ class NmeaRows(NmeaWriter):
         return lines
 
 
+def clock_text(stamp: float) -> str:
+    """Return a time of day, s, as ``hhmmss.sss``."""
+    ms = round(1000.0 * stamp) % 86400000
+    minutes, ms = divmod(ms, 60000)
+    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
+
+
+def place_texts(place: tuple[float, float]) -> list[str]:
+    """Return latitude and longitude, degrees, as ``ddmm.mmmmmmm`` and side each."""
+    texts = []
+    for angle, sides, digits in zip(place, ("NS", "EW"), (2, 3), strict=True):
+        degrees, rest = divmod(round(abs(angle) * 60e7), 600000000)
+        minutes, part = divmod(rest, 10000000)
+        texts += [f"{degrees:0{digits}d}{minutes:02d}.{part:07d}", sides[int(angle < 0.0)]]
+    return texts
+
+
 class MavlinkRows(MavlinkWriter):
     """Messages of a row of a log; ``servos`` say how commands become pulses."""
 
-    def __init__(self, servos: Servos) -> None:
-        super().__init__()
+    def __init__(self, servos: Servos, system: int = 1) -> None:
+        super().__init__(system)
         self.servos = servos
+
+    def hello(self) -> bytes:
+        """Return the heartbeat of a boat."""
+        d = self.dialect
+        made = d.MAVLink_heartbeat_message
+        boat, autopilot = d.MAV_TYPE_SURFACE_BOAT, d.MAV_AUTOPILOT_INVALID
+        return self.pack(made(boat, autopilot, 0, 0, d.MAV_STATE_ACTIVE, 3))
+
+    def position(
+        self,
+        stamp: float,
+        place: tuple[float, float] | None,
+        velocity: tuple[float, float] | None,
+        down: tuple[float, float] = (math.nan, math.nan),
+    ) -> bytes:
+        """Return place (degrees), velocity over ground (m/s north, east), and both down."""
+        lat = lon = UNKNOWN_PLACE
+        if place is not None:
+            lat, lon = (round(1e7 * value) for value in place)
+        vx = vy = UNKNOWN_SPEED
+        if velocity is not None:
+            vx, vy = (min(max(round(100.0 * v), 1 - 2**15), 2**15 - 2) for v in velocity)
+        # 0 stands for no height
+        height = 0 if math.isnan(down[0]) else round(-1000.0 * down[0]) or 1
+        vz = UNKNOWN_SPEED if math.isnan(down[1]) else round(100.0 * down[1])
+        made = self.dialect.MAVLink_global_position_int_message
+        return self.pack(
+            made(milliseconds(stamp), lat, lon, height, 0, vx, vy, vz, UNKNOWN_HEADING)
+        )
+
+    def attitude(
+        self,
+        stamp: float,
+        heading: float,
+        rate: float,
+        tilt: tuple[float, float] = (math.nan, math.nan),
+        rates: tuple[float, float] = (math.nan, math.nan),
+    ) -> bytes:
+        """Return heading, roll and pitch, rad, and rates, rad/s; NaN where it is not known."""
+        yaw = math.remainder(heading, 2.0 * math.pi)
+        made = self.dialect.MAVLink_attitude_message
+        return self.pack(made(milliseconds(stamp), *tilt, yaw, *rates, rate))
 
     def imu(self, stamp: float, force: tuple[float, float, float]) -> bytes:
         """Return the specific force forward, to starboard and down, m/s2; NaN where unknown."""
@@ -174,6 +285,11 @@ class MavlinkRows(MavlinkWriter):
             micros = round(1e3 * round(1e3 * stamp)) % 2**32
             made.append(self.pack(message(micros, 0, *self.servos.widths(cmd))))
         return made
+
+
+def milliseconds(stamp: float) -> int:
+    """Return a time, s, in whole milliseconds of 32 bits."""
+    return round(1000.0 * stamp) % 2**32
 
 
 @dataclass(frozen=True)
@@ -250,7 +366,7 @@ class MavlinkStream(Stream):
         """Yield the datagrams of a row."""
         if t - self._greeted >= HELLO:
             self._greeted = t
-            yield Datagram(t, self._writer.heartbeat("MAV_TYPE_SURFACE_BOAT"))
+            yield Datagram(t, self._writer.hello())
         for data in self._writer.row(self.start + t, z, cmd, self.place(z)):
             yield Datagram(t, data)
 
@@ -289,7 +405,7 @@ def replay(
     """Send a log to ``udp://HOST:PORT`` as a boat's stream, ``speed`` times as fast as it happened.
 
     ``progress`` receives the time of the log that is sent, s. Returned are the counts: those of
-    :func:`schedule`, datagrams ``unsent``, and datagrams that came ``back``.
+    :func:`schedule`, and datagrams ``unsent``.
     """
     if len(log) < 2:
         raise FeedError(f"{log.name}: has {len(log)} row(s); a stream needs two")
@@ -307,9 +423,6 @@ def replay(
                 output.sendto(datagram.data, target)
             except OSError:
                 counts["unsent"] += 1
-            with contextlib.suppress(OSError):  # no reply is waiting, or no receiver is there
-                while output.recv(1 << 16):
-                    counts["back"] += 1
             progress(datagram.due)
     return counts
 

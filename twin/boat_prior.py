@@ -58,16 +58,16 @@ FEW, FEW_VARIANCE = 2.0, 0.1
 """Before any run, the covariance between runs is taken to be this part of the population's, with
 the weight of so many runs."""
 
-LENGTH_SAME, SHAFT_SAME = 0.05, 0.01
-"""Relative differences within which lengths and speeds per shaft speed are those of one boat."""
+SAME_BOAT = {"length": 0.05, "beam": 0.1, "mass": 0.3}
+"""Relative differences within which sizes are those of one boat; the mass changes with the load."""
 
-BEAM_SAME, MASS_SAME = 0.1, 0.3
-"""The same for the beam, and for the mass, which changes with the load."""
+SAME_UNIT_OF_THRUST = 0.01
+"""Relative difference within which speeds per shaft speed are the same."""
 
 LEAST, MOST = 1e-6, 1e6
 """Within which lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats lie."""
 
-_SIZES = ("length", "speed", "shaft_speed", "beam", "mass")
+_SIZES = ("length", "beam", "mass", "speed", "shaft_speed")
 
 NARROWEST = 1e-8
 """Smallest variance in units of the population's: below it is rounding."""
@@ -89,30 +89,28 @@ class BoatPrior:
         Model structure, one of ``twin.model.structure.MODELS``.
     steering : str
         As in the particulars.
-    length, speed, shaft_speed : float
-        As in the particulars: m, m/s, rev/s.
+    length, beam, mass, speed, shaft_speed : float
+        As in the particulars: m, m, kg, m/s, rev/s.
     runs : int
         Number of runs that it was made from.
     parameters : tuple of str
         Names of the p parameters.
     mean, covariance : tuple
         Of the parameters, in SI units: p numbers, and p rows of p numbers.
-    beam, mass : float
-        As in the particulars: m, kg; 0 where they are unknown, and then not compared.
     """
 
     boat: str
     model: str
     steering: str
     length: float
+    beam: float
+    mass: float
     speed: float
     shaft_speed: float
     runs: int
     parameters: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    beam: float = 0.0
-    mass: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("boat", "model", "steering"):
@@ -120,9 +118,7 @@ class BoatPrior:
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
         for name in _SIZES:
             value = getattr(self, name)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            unknown = name in ("beam", "mass") and number and value == 0.0
-            if not unknown and not (number and LEAST <= value <= MOST):
+            if type(value) not in (int, float) or not LEAST <= value <= MOST:
                 raise BoatPriorError(
                     f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
                 )
@@ -207,41 +203,19 @@ class BoatPrior:
         head = "# What earlier runs say of a boat's parameters: mean and covariance, SI units."
         return f"{head}\nformat = {json.dumps(FORMAT)}\n{self.to_toml()}"
 
-    def check_boat(
-        self,
-        *,
-        length: float,
-        speed: float,
-        shaft_speed: float,
-        steering: str,
-        beam: float = 0.0,
-        mass: float = 0.0,
-    ) -> None:
-        """Refuse a boat that the prior was not made for; BoatPriorError says what differs.
-
-        A beam or mass of 0 is unknown, and not compared.
-        """
-        if steering != self.steering:
-            raise BoatPriorError(
-                f"the prior of {self.boat!r} is of a boat with steering = {self.steering!r}, not "
-                f"{steering!r}: correct steering, or leave the prior out"
-            )
-        if abs(length / self.length - 1.0) > LENGTH_SAME:
-            raise BoatPriorError(
-                f"the prior of {self.boat!r} is of a boat of {self.length:g} m, not {length:g} m: "
-                "correct length, or leave the prior out"
-            )
-        sizes = (
-            ("beam", beam, self.beam, BEAM_SAME, "m"),
-            ("mass", mass, self.mass, MASS_SAME, "kg"),
-        )
-        for name, now, then, same, unit in sizes:
-            if now and then and abs(now / then - 1.0) > same:
+    def check_boat(self, boat: Any) -> None:
+        """Refuse particulars that the prior was not made for; BoatPriorError says what differs."""
+        for name in ("steering", *SAME_BOAT):
+            made_for, found = getattr(self, name), getattr(boat, name)
+            if made_for != found and (
+                name == "steering" or abs(found / made_for - 1.0) > SAME_BOAT[name]
+            ):
                 raise BoatPriorError(
-                    f"the prior of {self.boat!r} is of a boat with {name} = {then:g} {unit}, not "
-                    f"{now:g}: correct {name}, or leave the prior out"
+                    f"the prior of {self.boat!r} is of a boat with {name} = {made_for}, not "
+                    f"{found}: correct {name}, or leave the prior out"
                 )
-        if abs(speed / shaft_speed * self.shaft_speed / self.speed - 1.0) > SHAFT_SAME:
+        unit = boat.speed / boat.shaft_speed * self.shaft_speed / self.speed
+        if abs(unit - 1.0) > SAME_UNIT_OF_THRUST:
             raise BoatPriorError(
                 f"the prior of {self.boat!r} was made with speed = {self.speed:g} and shaft_speed "
                 f"= {self.shaft_speed:g}, whose ratio is the unit of its thrust: keep the ratio, "

@@ -1,18 +1,17 @@
 """Files of saved state: fields by name, checked as they are read.
 
-A file is a zip archive with ``header.json`` and one ``.npy`` file for each array, whose checksums
-show damage. It holds no code, no pickles and no memory layout. So it is read after any edit of the
-program, as long as the fields keep their names and meanings and :data:`VERSION` stays.
+A file is an archive of NumPy (``.npz``): the array ``header`` holds JSON, the others are the arrays
+of the state. Checksums show damage. It holds no code, no pickles and no memory layout. So it is
+read after any edit of the program, as long as the fields keep their names and meanings and
+:data:`VERSION` stays.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections import deque
 from collections.abc import Iterable, Mapping
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias
@@ -30,6 +29,7 @@ __all__ = [
     "State",
     "StateError",
     "check_fields",
+    "plain_options",
     "read",
     "record_views",
     "restore_attributes",
@@ -42,19 +42,14 @@ State: TypeAlias = dict[str, Any]
 
 FORMAT = "usv-twin state"
 
-VERSION = 4
+VERSION = 5
 """Version of the format. It rises when a field changes its name or meaning."""
 
-_HEADER = "header.json"
+_HEADER = "header"
 
 _SCALARS = (bool, int, float, str, type(None))
 
-_EARLIER = "use an earlier copy of the file"
-
 _SAME = "load it with the predictor, options and boat that it was saved with"
-
-_GENERATORS = (np.random.PCG64, np.random.PCG64DXSM, np.random.SFC64)
-"""Their states hold no index, which a damaged file could set out of range."""
 
 
 class StateError(UsvTwinError):
@@ -64,19 +59,13 @@ class StateError(UsvTwinError):
 def write(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write a header of plain JSON data and arrays to one file, whole or not at all.
 
-    A file that is there is replaced once the new one is on the disk.
+    A file that is there is replaced once the new one is on the disk. The same state gives the same
+    bytes.
     """
     content = io.BytesIO()
     about = {"format": FORMAT, "version": VERSION, "software": __version__, **header}
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        # an entry without a date: the same state gives the same bytes
-        archive.writestr(zipfile.ZipInfo(_HEADER), json.dumps(about, indent=1))
-        for name, array in arrays.items():
-            entry = io.BytesIO()
-            np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
-            info = zipfile.ZipInfo(f"{name}.npy")
-            info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, entry.getvalue())
+    entries: dict[str, Any] = {_HEADER: np.array(json.dumps(about)), **arrays}
+    np.savez_compressed(content, **entries)
     write_whole(Path(path), content.getvalue())
 
 
@@ -89,7 +78,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     entries = read_archive(path, StateError, "saved twin", remedy)
     if _HEADER not in entries:
         raise StateError(f"{path}: is no saved twin; {remedy}")
-    header = parse_json(Path(path), entries.pop(_HEADER), StateError)
+    header = parse_json(Path(path), str(entries.pop(_HEADER)).encode(), StateError)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise StateError(f"{path}: is no saved twin; {remedy}")
     if header.get("version") != VERSION:
@@ -98,9 +87,20 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             f"{header.get('software')}; usv-twin {__version__} reads version {VERSION}: load it "
             "with that one, or start a new twin"
         )
-    if any(isinstance(entry, bytes) for entry in entries.values()):
-        raise StateError(f"{path}: is cut off or damaged; {_EARLIER}")
     return header, entries
+
+
+def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options of a predictor as plain JSON data; StateError names one that is none."""
+    plain = {}
+    for name, value in options.items():
+        plain[name] = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+        if not isinstance(plain[name], (*_SCALARS, list)):
+            raise StateError(
+                f"option {name!r} is a {type(value).__name__}, which cannot be saved; hand the "
+                "predictor in as an object, and again to Twin.load(path, predictor=...)"
+            )
+    return plain
 
 
 def check_fields(
@@ -151,23 +151,12 @@ def without_prefix(prefix: str, state: Mapping[str, Any]) -> dict[str, Any]:
 
 def load_part(prefix: str, part: Any, state: Mapping[str, Any]) -> None:
     """Load the fields of one component; a message names them as the file does."""
-    own = without_prefix(prefix, state)
     try:
-        if hasattr(part, "named_parameters"):  # a module of torch
-            own = {name: import_module("torch").from_numpy(v) for name, v in own.items()}
-        part.load_state_dict(own)
+        part.load_state_dict(without_prefix(prefix, state))
     except StateError as error:
         raise StateError(str(error).replace("field '", f"field '{prefix}.", 1)) from None
     except (RuntimeError, TypeError, ValueError) as error:
         raise StateError(f"field {prefix!r} cannot be loaded ({error}); {_SAME}") from None
-
-
-def _part_state(part: Any) -> State:
-    """Return the fields of a component; tensors become arrays."""
-    return {
-        name: value.detach().cpu().numpy() if hasattr(value, "detach") else value
-        for name, value in part.state_dict().items()
-    }
 
 
 # State of objects whose class says nothing of it: their attributes
@@ -177,18 +166,15 @@ def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
     """Return the attributes of an object as fields, but those to leave out.
 
     Saved are numbers, truth values, texts, None, and arrays of numbers. So are lists and deques of
-    numbers or of arrays of one shape, random generators, and objects with ``state_dict`` and
-    ``load_state_dict`` (torch modules too). Functions, classes and modules are constants, and left
-    out. A leading underscore is no part of a field's name. StateError names an attribute of another
-    kind.
+    numbers or of arrays of one shape, and objects with ``state_dict`` and ``load_state_dict``.
+    Functions, classes and modules are constants, and left out. A leading underscore is no part of a
+    field's name. StateError names an attribute of another kind.
     """
     state: State = {}
     for name, value in _attributes(owner, leave_out):
         key = name.lstrip("_")
-        if isinstance(value, np.random.Generator) and isinstance(value.bit_generator, _GENERATORS):
-            state[key] = json.dumps(value.bit_generator.state, default=int)
-        elif _is_part(value):
-            state |= with_prefix(key, _part_state(value))
+        if _is_part(value):
+            state |= with_prefix(key, value.state_dict())
         elif isinstance(value, np.generic):
             state[key] = value.item()
         elif isinstance(value, _SCALARS):
@@ -225,7 +211,10 @@ def restore_attributes(owner: Any, state: Mapping[str, Any], leave_out: Iterable
         problem = _other_kind(found, value)
         if problem is not None:
             raise StateError(f"field {key!r} {problem}; {_SAME}")
-        restored[name] = _restored(key, found, value)
+        if isinstance(value, (list, deque)) and found is not None:
+            found = found.tolist() if found.ndim == 1 else [row.copy() for row in found]
+            found = deque(found, value.maxlen) if isinstance(value, deque) else found
+        restored[name] = found
     if rest:
         raise StateError(f"field {min(rest)!r} is unknown here; {_SAME}")
     for name, value in attributes.items():
@@ -241,7 +230,7 @@ def _other_kind(found: Any, present: Any) -> str | None:
         return None
     if isinstance(present, (list, deque)):
         same = isinstance(found, np.ndarray) and found.ndim > 0
-    elif isinstance(present, (str, np.random.Generator)):
+    elif isinstance(present, str):
         same = isinstance(found, str)
     else:
         one, other = np.asarray(found), np.asarray(present)
@@ -249,21 +238,6 @@ def _other_kind(found: Any, present: Any) -> str | None:
             one.dtype.kind == other.dtype.kind or {one.dtype.kind, other.dtype.kind} <= set("iuf")
         )
     return None if same else f"is no {type(present).__name__} as the present one"
-
-
-def _restored(key: str, found: Any, present: Any) -> Any:
-    """Return the value of an attribute from its field."""
-    if isinstance(present, np.random.Generator):
-        bits = type(present.bit_generator)()
-        try:
-            bits.state = json.loads(found)
-        except (ArithmeticError, LookupError, TypeError, ValueError):
-            raise StateError(f"field {key!r} is no state of its generator; {_EARLIER}") from None
-        return np.random.Generator(bits)
-    if isinstance(present, (list, deque)) and found is not None:
-        items = found.tolist() if found.ndim == 1 else [row.copy() for row in found]
-        return deque(items, present.maxlen) if isinstance(present, deque) else items
-    return found
 
 
 def _attributes(owner: Any, leave_out: Iterable[str]) -> list[tuple[str, Any]]:
@@ -286,10 +260,6 @@ def _is_part(value: Any) -> bool:
 
 def _is_stackable(values: Any) -> bool:
     """Return whether a list holds only numbers of one type, or arrays of one shape and type."""
-    kinds = {
-        (v.shape, v.dtype) if isinstance(v, np.ndarray) else type(v)
-        for v in values
-        if isinstance(v, (np.ndarray, bool, int, float))
-    }
-    count = sum(isinstance(v, (np.ndarray, bool, int, float)) for v in values)
-    return len(kinds) <= 1 and count == len(values)
+    if not all(isinstance(v, (np.ndarray, bool, int, float)) for v in values):
+        return False
+    return len({(type(v), np.shape(v), np.asarray(v).dtype) for v in values}) <= 1

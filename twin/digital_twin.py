@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, STATE, TIME
-from twin.checkpoint import StateError, check_fields, read, without_prefix, write
+from twin.checkpoint import (
+    StateError,
+    check_fields,
+    plain_options,
+    read,
+    with_prefix,
+    without_prefix,
+    write,
+)
 from twin.integrity.history import HealthHistory
 from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
@@ -25,7 +33,6 @@ from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
 from twin.predictors.registry import DEFAULT, PREDICTORS, base_name, make_predictor
-from twin.predictors.saved_options import pack_option, unpack_option
 from usv_kernel.errors import ArgumentError, UsvTwinError
 
 __all__ = [
@@ -36,9 +43,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-_DAMAGE = (OSError, RuntimeError, TypeError, ValueError)
-"""What constructors raise, among others, of options and particulars that make no sense."""
 
 _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 """Columns of roll rate, pitch rate and vertical speed of the origin."""
@@ -158,32 +162,30 @@ class Twin:
         Raises
         ------
         StateError
-            The predictor or its options hold something that cannot be saved.
+            The predictor or its options hold something that cannot be saved: options are numbers,
+            texts and arrays of numbers. Hand in a predictor with others as an object.
         """
-        arrays: dict[str, Array] = {"command": self.cmd}
-        options = {
-            name: pack_option(value, f"options.{name}", arrays)
-            for name, value in self.options.items()
-        }
         state = self.predictor.state_dict()
-        kept = {f"state.{k}": v for k, v in state.items() if isinstance(v, np.ndarray)}
-        about = dataclasses.asdict(self.particulars)
-        if self.particulars.prior is None:
-            del about["prior"]
+        kept = {name: value for name, value in state.items() if isinstance(value, np.ndarray)}
         header = {
-            **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
-            **{"options": options, "particulars": about},
-            **({} if self.datum is None else {"datum": self.datum.to_json()}),
-            **{
-                "t": self.t,
-                "begun": self.begun,
-                "lost_at": self._lost_at,
-                "state": {k: v for k, v in state.items() if f"state.{k}" not in kept},
-            },
+            "predictor": self.name,
+            "class": type(self.predictor).__name__,
+            "seed": self.seed,
+            "options": plain_options(self.options),
+            "particulars": dataclasses.asdict(self.particulars),
+            "datum": None if self.datum is None else self.datum.to_json(),
+            "t": self.t,
+            "begun": self.begun,
+            "lost_at": self._lost_at,
+            "state": {name: value for name, value in state.items() if name not in kept},
         }
-        health = {f"health.{name}": view for name, view in self.monitor.state_dict().items()}
-        motion = {f"motion.{name}": view for name, view in self.motion.state_dict().items()}
-        write(path, header, arrays | kept | health | motion)
+        arrays = {
+            "command": self.cmd,
+            **with_prefix("state", kept),
+            **with_prefix("health", self.monitor.state_dict()),
+            **with_prefix("motion", self.motion.state_dict()),
+        }
+        write(path, header, arrays)
 
     @classmethod
     def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
@@ -215,7 +217,7 @@ class Twin:
             raise
         except StateError as error:
             raise StateError(f"{path}: {error}") from None
-        except (ArithmeticError, AttributeError, LookupError, MemoryError, *_DAMAGE) as error:
+        except Exception as error:  # constructors refuse damaged values in many ways
             raise StateError(
                 f"{path}: is damaged ({type(error).__name__}: {error}); use an earlier copy of the "
                 "file"
@@ -227,15 +229,9 @@ class Twin:
     ) -> Twin:
         """Return the twin of a header and its arrays."""
         about = dict(header["particulars"])
-        instruments, deck = _floats(about.pop("instruments")), _floats(about.pop("deck"))
-        if deck.get("point", 0) is None:
-            del deck["point"]
-        particulars = Particulars.from_tables(_floats(about), instruments, deck)
-        name, seed, t = header["predictor"], header["seed"], header["t"]
-        options = {
-            key: unpack_option(value, arrays, particulars)
-            for key, value in header["options"].items()
-        }
+        instruments, deck = about.pop("instruments"), about.pop("deck")
+        particulars = Particulars.from_tables(about, instruments, deck)
+        name, seed, t, options = (header[key] for key in ("predictor", "seed", "t", "options"))
         if predictor is not None:
             if predictor.particulars != particulars:
                 raise StateError(
@@ -261,10 +257,9 @@ class Twin:
                 f"holds a {header['class']}, not a {type(twin.predictor).__name__}; give a "
                 "predictor of that class"
             )
-        saved = {k[len("state.") :]: v for k, v in arrays.items() if k.startswith("state.")}
-        twin.predictor.load_state_dict(saved | header["state"])
+        twin.predictor.load_state_dict(without_prefix("state", arrays) | header["state"])
         check_fields({"t": t, "command": arrays["command"]}, {"t": twin.t, "command": twin.cmd})
-        twin.datum = Datum(**header["datum"]) if "datum" in header else None
+        twin.datum = None if header["datum"] is None else Datum(**header["datum"])
         twin.monitor.load_state_dict(without_prefix("health", arrays))
         twin.motion.load_state_dict(without_prefix("motion", arrays))
         twin.begun = float(header["begun"])
@@ -412,24 +407,23 @@ class Twin:
         parameters = self.predictor.parameter_names
         deck = np.full((len(log), 2, len(CHANNELS)), math.nan)
         rates = np.full((len(log), len(_RATES)), math.nan)
-        shape = len(log), len(STATE) + len(parameters)
-        mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
+        states, state_sds = np.full((2, len(log), len(STATE)), math.nan)
+        params, param_sds = np.full((2, len(log), len(parameters)), math.nan)
         for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
-            ready[k] = self.predictor.write_moments(mean[k], sd[k])
+            found = self.predictor.estimate()
+            if found.ready:
+                states[k], state_sds[k] = found.state, found.sd
+                params[k], param_sds[k] = found.params, found.params_sd
             if (now := self.motion.estimate()) is not None:
                 deck[k] = now.mean, now.sd
                 rates[k] = now.roll_rate, now.pitch_rate, now.vertical_speed
             if on_row is not None:
                 on_row()
-        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
-        mean[~ready], sd[~ready] = np.nan, np.nan
-        names = (*STATE, *parameters)
-        means, sds = dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True))
         columns = {TIME: log.t}
-        for group in (STATE, parameters):
-            columns |= {name: means[name] for name in group}
-            columns |= {f"sd_{name}": sds[name] for name in group}
+        for names, means, sds in ((STATE, states, state_sds), (parameters, params, param_sds)):
+            columns |= dict(zip(names, means.T, strict=True))
+            columns |= {f"sd_{name}": sd for name, sd in zip(names, sds.T, strict=True)}
         if self.motion.active:
             for j, kind in enumerate(("", "sd_")):
                 columns |= {f"{kind}{name}": deck[:, j, c] for c, name in enumerate(CHANNELS)}
@@ -553,11 +547,6 @@ class Twin:
     def _check_forecast(self, t0: float, times: Array, states: Array) -> None:
         """Refuse a forecast that is not finite."""
         check_forecast(self.name or type(self.predictor).__name__, t0, times - t0, states)
-
-
-def _floats(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table of a file with its whole numbers as floats."""
-    return {k: float(v) if type(v) is int else v for k, v in table.items()}
 
 
 def known_plan(log: Log, row: int, horizon: float, dt: float) -> Array:

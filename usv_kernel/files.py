@@ -146,13 +146,10 @@ def _check_values(path: Path, value: Any, error: type[UsvTwinError]) -> None:
             raise error(f"{path}: {name[:60]} has more digits than a number may have; correct it")
 
 
-def import_named(
-    name: str, error: type[UsvTwinError], what: str, form: str = "module:Class"
-) -> Any:
-    """Return what ``module:name`` stands for; the module may lie in the working directory.
+def import_named(name: str, error: type[UsvTwinError], what: str) -> Any:
+    """Return what ``module:Class`` stands for; the module may lie in the working directory.
 
-    ``error`` is raised where it does not exist; ``what`` says where the name was given, and
-    ``form`` what to write.
+    ``error`` is raised where it does not exist; ``what`` says where the name was given.
     """
     module, _colon, attribute = name.partition(":")
     here = str(Path.cwd())
@@ -161,4 +158,4 @@ def import_named(
     try:
         return getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, TypeError, ValueError) as problem:
-        raise error(f"{what}: {problem}; write {form}") from None
+        raise error(f"{what}: {problem}; write module:Class") from None

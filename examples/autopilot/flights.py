@@ -1,8 +1,8 @@
 """Flights of the real ArduRover on our boats, with a minute without GPS.
 
-``python examples/autopilot/flights.py usv75 dsw-ukf-plus odometry 1 2 3`` prints a line of JSON for
-each seed; ``off`` in place of ``odometry`` leaves the twin out. ``USV_TWIN_ARDUROVER`` is the path
-of ArduPilot's ``ardurover``, beside which lies its ``rover.parm``.
+``python examples/autopilot/flights.py usv75 dsw-ukf-plus 1 2 3`` prints a line of JSON for each
+seed; ``none`` in place of a predictor leaves the twin out. ``USV_TWIN_ARDUROVER`` is the path of
+ArduPilot's ``ardurover``, beside which lies its ``rover.parm``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from twin.digital_twin import Twin
-from twin.live.external.navigation import ExternalNavigation, ExternalOptions
+from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.logs.datum import Datum
@@ -154,7 +154,6 @@ class Loss(NamedTuple):
 
     vessel: str
     predictor: str
-    kind: str
     seed: int
     seconds: float
     auto: bool  # whether the mode was Auto throughout
@@ -174,7 +173,7 @@ LEG, INTO_LEG = 3, 20.0
 """The loss begins so many seconds after this way point is reached."""
 
 
-def lose(flight: Flight, seconds: float, about: tuple[str, str, str, int]) -> Loss:
+def lose(flight: Flight, seconds: float, about: tuple[str, str, int]) -> Loss:
     """Sail the mission up to a loss of the GPS, and on until half a minute after it."""
     begun = time.monotonic()
     while flight.station.reached < LEG and flight.backend.t < 900.0:
@@ -221,8 +220,7 @@ class Flight:
         vessel: str,
         *,
         seed: int = 0,
-        options: ExternalOptions | None = None,
-        predictor: str = "dsw-ukf-plus",
+        predictor: str | None = None,
     ) -> None:
         boat, suite = Vessel.load(vessel), suite_of("typical")
         simulation = Simulation(
@@ -237,8 +235,10 @@ class Flight:
         )
         self.points = lawnmower(vessel)
         self.backend = Backend(simulation, seed)
-        self.navigation = ExternalNavigation(options, self.note) if options else None
-        self.twin = Twin(particulars_of(boat, suite, 6), predictor) if options else None
+        self.navigation = None if predictor is None else ExternalNavigation(self.note)
+        self.twin = None
+        if predictor is not None:
+            self.twin = Twin(particulars_of(boat, suite, 6), predictor)
         self.events: list[tuple[float, str]] = []
         station = self.station = GroundStation(self.points)
         peer = self.navigation.peer if self.navigation else AutopilotPeer()
@@ -253,9 +253,7 @@ class Flight:
         )
         self.estimates: list[tuple[float, ...]] = []
         self.server = Server(self.backend, port=free_port())
-        given = autopilot_parameters(boat, external=options is not None)
-        if options is not None and options.kind == "gps-input":
-            given["GPS1_TYPE"] = 14
+        given = autopilot_parameters(boat, external=predictor is not None)
         (folder / "boat.parm").write_text(parameter_text(boat, given | {"LOG_BACKEND_TYPE": 0}))
         place = f"{HOME.latitude},{HOME.longitude},0,0"
         self.process = subprocess.Popen(
@@ -334,17 +332,15 @@ class Flight:
         self.station.socket.close()
 
 
-def main(vessel: str, predictor: str, kind: str, *seeds: str) -> None:
+def main(vessel: str, predictor: str, *seeds: str) -> None:
     """Print a line of JSON for each seed."""
     program = Path(os.environ["USV_TWIN_ARDUROVER"])
     for seed in map(int, seeds):
-        options = None if kind == "off" else ExternalOptions(kind=kind)
         with tempfile.TemporaryDirectory() as folder:
-            flight = Flight(
-                program, Path(folder), vessel, seed=seed, options=options, predictor=predictor
-            )
+            own = None if predictor == "none" else predictor
+            flight = Flight(program, Path(folder), vessel, seed=seed, predictor=own)
             try:
-                found = lose(flight, 60.0, (vessel, predictor, kind, seed))
+                found = lose(flight, 60.0, (vessel, predictor, seed))
             finally:
                 flight.close()
         print(json.dumps(found._asdict()), flush=True)

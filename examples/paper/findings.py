@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import published
 
-from twin.benchmark.metrics import compare, mean_interval, run_rows
+from twin.benchmark.metrics import compare, interval_of, resampled, run_rows
 from twin.benchmark.protocol import HORIZONS
 from twin.benchmark.verdict.tables import number
 from twin.identification.dynamic_window import GAMMA_ENVIRONMENT, GAMMA_NONLINEARITY, variable_part
@@ -77,7 +77,9 @@ class PaperRow(NamedTuple):
 
 def _row(where, metric, values, paper=None):
     """Return the row of the values of all seeds; ``where`` are the first four fields."""
-    return PaperRow(*where, metric, *mean_interval(values), paper)
+    values = np.asarray(values, dtype=np.float64)
+    interval = interval_of(resampled(values), len(values))
+    return PaperRow(*where, metric, float(values.mean()), *interval, paper)
 
 
 def paper_rows(settings, results, traces):

@@ -299,7 +299,7 @@ def train(kind, fleet, state, steps):
             state.with_suffix(".part").replace(state)
     arrays = {key: value.numpy().copy() for key, value in net.state_dict().items()}
     settings = {**SETTINGS[kind], "kind": kind, "seed": SEED, "boats": BOATS, "runs": RUNS,
-                "batch": BATCH, "decay": DECAY, "dropout": DROPOUT, "late": LATE, "gate": 0.0,
+                "batch": BATCH, "decay": DECAY, "dropout": DROPOUT, "late": LATE,
                 "steps": steps, "sailed": len(fleet)}  # fmt: skip
     return Weights(kind, SEED, settings, arrays)
 

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from twin import PREDICTORS, Twin
+from twin import PREDICTORS, Twin, make_predictor
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.registry import EXTRAS, predictor_class
@@ -48,14 +48,14 @@ def name(request: pytest.FixtureRequest) -> str:
 def make_twin(boat: Particulars) -> Callable[[str], Twin]:
     """Return a function that makes the twin of the zigzag's boat with a predictor by name.
 
-    Learners train at 20 s; an oracle gets vessel and sea.
+    Learners train at 20 s; an oracle gets the sea.
     """
 
     def make(name: str) -> Twin:
         kind = predictor_class(name)
         options = {"train_at": 20.0} if kind.trains else {}
         if kind.needs_simulator:
-            options |= {"vessel": Vessel.load("usv75"), "sea": SEA}
+            return Twin(boat, make_predictor(name, boat, seed=3, sea=SEA))
         return Twin(boat, name, seed=3, **options)
 
     return make

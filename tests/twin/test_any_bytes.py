@@ -97,8 +97,15 @@ def drawn(observation: str, **options: Any) -> Callable[[Path], bytes]:
 
 def own_prior(folder: Path) -> bytes:
     names = ("X_u", "N_r", "Y_v")
-    table = {"boat": "test", "model": "mmg", "steering": "rudder", "length": 3.0, "speed": 2.0}
-    table |= {"shaft_speed": 10.0, "runs": 2, "parameters": names, "mean": (1.0, 2.0, 3.0)}
+    table = {"boat": "test", "model": "mmg", "steering": "rudder", "length": 3.0, "beam": 1.0}
+    table |= {
+        "mass": 900.0,
+        "speed": 2.0,
+        "shaft_speed": 10.0,
+        "runs": 2,
+        "parameters": names,
+        "mean": (1.0, 2.0, 3.0),
+    }
     covariance = ((1.0, 0.0, 0.1), (0.0, 2.0, 0.0), (0.1, 0.0, 3.0))
     return BoatPrior(**table, covariance=covariance).file_text().encode()
 

@@ -143,8 +143,6 @@ def test_priors_of_other_boats_are_refused(
     dataclasses.replace(boat, prior=prior, mass=1.2 * boat.mass)  # loaded
     path = tmp_path / "x.prior"
     good = prior.file_text()
-    unknown = dataclasses.replace(prior, mass=0.0)
-    dataclasses.replace(boat, prior=unknown, mass=2.0 * boat.mass)
     for text, words in (
         ("[particulars]", "has no format"),
         ("= 3", "not valid TOML"),

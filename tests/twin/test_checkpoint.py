@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import io
 import json
 import math
 import os
@@ -15,12 +14,12 @@ import numpy as np
 import pytest
 
 import twin
-from twin import Prediction, Predictor, StateError, Twin
+from twin import Prediction, Predictor, StateError, Twin, make_predictor
 from twin.files import ARCHIVE_MAX
 from twin.logs.log import Log
 from twin.predictors.baselines import Persistence
 from twin.predictors.ukf import UKFPredictor
-from usv_gym import SeaState, Vessel
+from usv_gym import SeaState
 
 STOPS = (0, 7, 430, 533, 650)
 """Rows after which a run is interrupted: never started; before the first fix; while the GPS is
@@ -58,6 +57,11 @@ def same(one, other):
         np.testing.assert_array_equal(a, b)
 
 
+def load(path, like):
+    """Load a twin; one whose predictor was handed in as an object gets a new one."""
+    return Twin.load(path, like.predictor if like.name is None else None)
+
+
 def test_restored_twin_gives_the_same_bits(name, make_twin, losses, tmp_path):
     whole, row = make_twin(name), 0
     for stop in STOPS:
@@ -66,7 +70,7 @@ def test_restored_twin_gives_the_same_bits(name, make_twin, losses, tmp_path):
         row = stop
     feed(whole, losses, row, END)
     for stop in STOPS:
-        twin = Twin.load(tmp_path / f"{stop}.twin")
+        twin = load(tmp_path / f"{stop}.twin", make_twin(name))
         assert type(twin.predictor) is type(whole.predictor)
         feed(twin, losses, stop, END)
         same(whole, twin)
@@ -77,10 +81,10 @@ def test_loaded_and_copied_twins_answer_equally(name, make_twin, losses, tmp_pat
     twin = make_twin(name)
     feed(twin, losses, 0, 450)
     twin.save(tmp_path / "a")
-    once = Twin.load(tmp_path / "a")
+    once = load(tmp_path / "a", make_twin(name))
     once.save(tmp_path / "b")
     same(twin, once)
-    twice = Twin.load(tmp_path / "b")
+    twice = load(tmp_path / "b", make_twin(name))
     same(twin, twice)
     same(twin, copy.deepcopy(twin))
     once.reset()
@@ -93,7 +97,6 @@ def test_loaded_and_copied_twins_answer_equally(name, make_twin, losses, tmp_pat
     [
         ("dsw-ukf", {"adapt": "signed", "p0": np.full(31, 0.5)}),
         ("dsw-ukf-plus", {"model": "mmg", "period": 2.0}),
-        ("oracle", {"vessel": Vessel.load("usv75"), "sea": SeaState(hs=0.5, wind=4.5)}),
     ],
 )
 def test_options_and_particulars_are_restored(boat, losses, tmp_path, name, options):
@@ -106,6 +109,19 @@ def test_options_and_particulars_are_restored(boat, losses, tmp_path, name, opti
     for one in (twin, again):
         feed(one, losses, 100, 200)
     same(twin, again)
+
+
+def test_an_option_that_cannot_be_saved_is_named_with_the_remedy(boat, losses, tmp_path):
+    sea = SeaState(hs=0.5, wind=4.5)
+    twin = Twin(boat, "oracle", sea=sea)
+    with pytest.raises(
+        StateError, match=r"option 'sea' is a SeaState.*hand the predictor in as an"
+    ):
+        twin.save(tmp_path / "a")
+    twin = Twin(boat, make_predictor("oracle", boat, sea=sea))
+    feed(twin, losses, 0, 100)
+    twin.save(tmp_path / "a")
+    same(twin, Twin.load(tmp_path / "a", make_predictor("oracle", boat, sea=sea)))
 
 
 class Everything(Predictor):
@@ -124,7 +140,6 @@ class Everything(Predictor):
         self.x, self.mask, self.count = np.zeros(3), np.array([True, False]), 0
         self.name, self.fitted, self.error = "start", None, math.nan
         self.numbers, self._rows = [], deque(maxlen=3)
-        self.rng = np.random.default_rng(self.seed)
         self.single = np.float64(0.5)
 
     def update(self, t, dt, z, cmd):
@@ -132,7 +147,7 @@ class Everything(Predictor):
         self.fitted = np.eye(2) * t
         self.numbers.append(self.count)
         self._rows.append(np.array([t, dt]))
-        self.error = self.rng.normal()
+        self.error = 0.1 * self.count
 
     @property
     def state(self):
@@ -161,10 +176,11 @@ def test_attributes_of_a_predictor_given_as_object_are_restored(boat, tmp_path):
         np.testing.assert_array_equal(getattr(one.predictor, key), getattr(other, key))
     np.testing.assert_array_equal(list(other._rows), list(one.predictor._rows))
     assert other._rows.maxlen == 3 and type(other.numbers) is list and other.numbers[0] == 1
-    assert other.rng.normal() == one.predictor.rng.normal()
 
 
-@pytest.mark.parametrize("value", [{"a": 1}, [1, "a"], 1j, (1, 2), np.array([object()])])
+@pytest.mark.parametrize(
+    "value", [{"a": 1}, [1, "a"], 1j, (1, 2), np.array([object()]), np.random.default_rng(0)]
+)
 def test_attribute_that_cannot_be_saved_is_named(boat, tmp_path, value):
     predictor = Everything(boat)
     predictor.extra = value
@@ -172,17 +188,6 @@ def test_attribute_that_cannot_be_saved_is_named(boat, tmp_path, value):
     with pytest.raises(StateError, match="extra"):
         Twin(boat, predictor).save(tmp_path / "a")
     assert (tmp_path / "a").read_text() == "before"
-
-
-def test_torch_modules_are_restored(boat):
-    torch = pytest.importorskip("torch")
-    one, other = Everything(boat), Everything(boat)
-    one.net, other.net = torch.nn.Linear(3, 2), torch.nn.Linear(3, 2)
-    other.load_state_dict(one.state_dict())
-    assert torch.equal(one.net.weight, other.net.weight)
-    other.net = torch.nn.GRU(3, 2)
-    with pytest.raises(StateError, match="net"):
-        other.load_state_dict(one.state_dict())
 
 
 # Files
@@ -199,17 +204,14 @@ def saved(boat, losses, tmp_path):
 
 def change(path, header=None, arrays=None):
     """Write a file again with other entries; None leaves an array out."""
-    with zipfile.ZipFile(path) as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    entries["header.json"] = json.dumps(json.loads(entries["header.json"]) | (header or {}))
-    for name, array in (arrays or {}).items():
-        file = io.BytesIO()
-        np.save(file, array)
-        entries[f"state.{name}.npy"] = None if array is None else file.getvalue()
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, content in entries.items():
-            if content is not None:
-                archive.writestr(name, content)
+    with np.load(path) as archive:
+        entries = {name: archive[name] for name in archive.files}
+    about = json.loads(str(entries["header"])) | (header or {})
+    entries |= {"header": np.array(json.dumps(about))}
+    entries |= {f"state.{name}": array for name, array in (arrays or {}).items()}
+    whole = {name: array for name, array in entries.items() if array is not None}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **whole)
 
 
 def test_a_state_gives_the_same_bytes_again(saved):
@@ -235,9 +237,9 @@ def test_cut_off_or_damaged_files_are_refused(saved):
     # what Python's zipfile reads: the entries, not the dates and the like between them
     with zipfile.ZipFile(saved) as archive:
         entry = max(archive.infolist(), key=lambda info: info.compress_size)
-    begin = entry.header_offset + 30 + len(entry.filename)
-    places = [whole.index(b'"particulars"') + 3]
-    places += (begin + rng.integers(entry.compress_size, size=50)).tolist()
+    extra = int.from_bytes(whole[entry.header_offset + 28 :][:2], "little")
+    begin = entry.header_offset + 30 + len(entry.filename) + extra
+    places = (begin + rng.integers(entry.compress_size, size=50)).tolist()
     damaged = [whole[:k] + bytes([whole[k] ^ 1]) + whole[k + 1 :] for k in places]
     cuts = [whole[:size] for size in (3, len(whole) // 3, len(whole) - 100, len(whole) - 1)]
     for content in (*cuts, *damaged):

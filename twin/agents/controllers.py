@@ -92,12 +92,8 @@ class LOS:
         integral: float = 0.02,
         early: float = 1.0,
     ) -> None:
-        numbers = lookahead, gain, damping, integral, early
-        if not (all(math.isfinite(x) and x >= 0.0 for x in numbers) and lookahead > 0.0):
-            raise ControllerError(
-                f"{name}: lookahead, gain, damping, integral, early = {numbers}: must be finite "
-                "and 0 or more, the first above 0"
-            )
+        check_numbers(name, above_zero=True, lookahead=lookahead)
+        check_numbers(name, gain=gain, damping=damping, integral=integral, early=early)
         self.name, self.observation, self.source = name, observation, source
         self.lookahead, self.gain, self.damping = lookahead, gain, damping
         self.integral, self.early = integral, early
@@ -219,14 +215,10 @@ class Docking(LOS):
     ) -> None:
         own = {"lookahead": 3.0, "gain": 2.0, "damping": 1.0}
         super().__init__(name, observation, source, **{**own, **options})
-        numbers = slow, push, aside, back_off, fastest, turning
-        if not all(math.isfinite(x) and x > 0.0 for x in numbers):
-            raise ControllerError(
-                f"{name}: slow, push, aside, back_off, fastest, turning = {numbers}: must be "
-                "finite and above 0"
-            )
-        self.slow, self.push, self.aside, self.back_off = numbers[:4]
-        self.fastest, self.turning = numbers[4:]
+        check_numbers(name, above_zero=True, slow=slow, push=push, aside=aside)
+        check_numbers(name, above_zero=True, back_off=back_off, fastest=fastest, turning=turning)
+        self.slow, self.push, self.aside = slow, push, aside
+        self.back_off, self.fastest, self.turning = back_off, fastest, turning
 
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
         """See :meth:`LOS.fit`."""
@@ -273,8 +265,7 @@ class DeadReckoningLOS(LOS):
 
     def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:
         super().__init__("los-dr", **options)
-        if not (math.isfinite(smoothing) and smoothing > 0.0):
-            raise ControllerError(f"los-dr: smoothing = {smoothing}: must be finite and above 0")
+        check_numbers("los-dr", above_zero=True, smoothing=smoothing)
         self.smoothing = smoothing
 
     def begin(self, envs: USVVectorEnv) -> None:
@@ -350,6 +341,14 @@ def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
             "the agent's attribute 'observation' names"
         )
     return [there.index(name) for name in names]
+
+
+def check_numbers(controller: str, *, above_zero: bool = False, **numbers: float) -> None:
+    """Refuse options that are not finite, below 0, or where it says so 0."""
+    for name, value in numbers.items():
+        if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and not above_zero))):
+            bound = "above 0" if above_zero else "0 or more"
+            raise ControllerError(f"{controller}: {name} = {value}: must be finite and {bound}")
 
 
 def wrapped(angle: Array) -> Array:

@@ -175,15 +175,8 @@ def _copy(source, target):
 @kernel
 def _descend(knots, best, goal, config, work):
     """Take a damped Gauss-Newton step from a plan rated ``best``; return the plan's new rating."""
-    trial, base, moved, J, H, A, g = (
-        work.trial,
-        work.base,
-        work.residuals,
-        work.J,
-        work.H,
-        work.A,
-        work.g,
-    )
+    trial, base, moved = work.trial, work.base, work.residuals
+    J, H, A, g = work.J, work.H, work.A, work.g
     V = knots.shape[0]
     rate(knots, True, goal, config, work, base)
     _copy(knots, trial)

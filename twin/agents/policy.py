@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.files import read_archive
+from twin.predictors.learned.features import lstm_cell
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import parse_json, write_whole
@@ -99,7 +100,41 @@ class Policy:
     _hidden: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._check()
+        names = self.names
+        texts = isinstance(names, tuple) and all(isinstance(name, str) for name in names)
+        whole = isinstance(self.observation, str) or list(names) == self.observation
+        numbers = all(type(value) in (int, float) for value in (self.clip, self.share))
+        for holds, rule in (
+            (texts and 0 < len(set(names)) == len(names), "names must be texts, each once"),
+            (whole, "observation must be a text or the list of names"),
+            (isinstance(self.name, str), "name must be a text"),
+            (isinstance(self.base, str), "base must be a text"),
+            (isinstance(self.settings, dict), "settings must be a table"),
+            (isinstance(self.squash, bool), "squash must be true or false"),
+            (self.activation in [*ACTIVATIONS], f"activation: use one of {', '.join(ACTIVATIONS)}"),
+            (numbers and self.clip > 0.0, "clip must be a number above 0"),
+            (numbers and 0.0 < self.share <= VALUE_MAX, "share must be a number above 0"),
+            (len(self.layers) > 0, "layers must be one or more"),
+        ):
+            if not holds:
+                raise AgentError(rule)
+        # behind what it sees of the observation stands the action of the controller
+        inputs = np.size(self.mean) if self.base else len(names)
+        if self.base and not ACTIONS < inputs <= len(names) + ACTIONS:
+            raise AgentError(f"mean has {inputs} entries; it corrects, and sees {len(names)}")
+        _check_array("mean", self.mean, (inputs,))
+        _check_array("sd", self.sd, (inputs,), least=SD_MIN)
+        if self.lstm is not None:
+            size = np.shape(self.lstm[1])[-1] if np.ndim(self.lstm[1]) else 0
+            shapes = (4 * size, inputs), (4 * size, size), (4 * size,)
+            for j, (part, shape) in enumerate(zip(self.lstm, shapes, strict=True)):
+                _check_array(f"lstm_{j}", part, shape)
+            inputs = size
+        for j, (weights, bias) in enumerate(self.layers):
+            outputs = ACTIONS if j == len(self.layers) - 1 else np.size(bias)
+            _check_array(f"weights_{j}", weights, (outputs, inputs))
+            _check_array(f"bias_{j}", bias, (outputs,))
+            inputs = outputs
 
     def begin(self, envs: USVVectorEnv) -> None:
         """Forget all there was; see :meth:`twin.agents.agent.Agent.begin`.
@@ -159,10 +194,7 @@ class Policy:
                 raise AgentError(f"policy {self.name} remembers: call begin(envs) before act(obs)")
             of_input, of_hidden, bias = self.lstm
             hidden, cell = self._hidden
-            gates = x @ of_input.T + hidden @ of_hidden.T + bias
-            i, f, g, o = np.split(gates, 4, axis=1)
-            cell = _sigmoid(f) * cell + _sigmoid(i) * np.tanh(g)
-            x = _sigmoid(o) * np.tanh(cell)
+            x, cell = lstm_cell(x @ of_input.T + hidden @ of_hidden.T + bias, cell)
             self._hidden = x, cell
         activate = ACTIVATIONS[self.activation]
         for weights, bias in self.layers[:-1]:
@@ -229,47 +261,6 @@ class Policy:
             raise AgentError(f"{path}: was written by another version; train it again")
         return policy
 
-    def _check(self) -> None:
-        """Refuse what cannot act: AgentError names the part."""
-        for name in ("name", "base"):
-            if not isinstance(getattr(self, name), str):
-                raise AgentError(f"{name} is no text")
-        if not isinstance(self.observation, str) and list(self.names) != self.observation:
-            raise AgentError("observation is neither a text nor the list of names")
-        names = self.names
-        if not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
-            raise AgentError("names must be texts, each once")
-        if not isinstance(self.settings, dict) or not isinstance(self.squash, bool):
-            raise AgentError("settings must be a table, and squash true or false")
-        if not isinstance(self.activation, str) or self.activation not in ACTIVATIONS:
-            raise AgentError(f"activation is not one of {', '.join(ACTIVATIONS)}")
-        number = isinstance(self.clip, (int, float)) and not isinstance(self.clip, bool)
-        if not number or not self.clip > 0.0:
-            raise AgentError("clip must be a number above 0")
-        inputs = len(names)
-        if self.base:
-            share = self.share
-            if not isinstance(share, (int, float)) or not 0.0 < share <= VALUE_MAX:
-                raise AgentError("share must be a number above 0")
-            inputs = np.size(self.mean)
-            if not ACTIONS < inputs <= len(names) + ACTIONS:
-                raise AgentError(f"mean has {inputs} entries; it corrects, and sees {len(names)}")
-        _check_array("mean", self.mean, (inputs,))
-        _check_array("sd", self.sd, (inputs,), least=SD_MIN)
-        if self.lstm is not None:
-            size = np.shape(self.lstm[1])[-1] if np.ndim(self.lstm[1]) else 0
-            shapes = (4 * size, inputs), (4 * size, size), (4 * size,)
-            for j, (part, shape) in enumerate(zip(self.lstm, shapes, strict=True)):
-                _check_array(f"lstm_{j}", part, shape)
-            inputs = size
-        if not self.layers:
-            raise AgentError("has no layer")
-        for j, (weights, bias) in enumerate(self.layers):
-            outputs = ACTIONS if j == len(self.layers) - 1 else np.size(bias)
-            _check_array(f"weights_{j}", weights, (outputs, inputs))
-            _check_array(f"bias_{j}", bias, (outputs,))
-            inputs = outputs
-
 
 def _check_array(name: str, array: Any, shape: tuple[int, ...], least: float = -VALUE_MAX) -> None:
     """Refuse an array of another shape, or with values that are not numbers in range."""
@@ -279,8 +270,3 @@ def _check_array(name: str, array: Any, shape: tuple[int, ...], least: float = -
         raise AgentError(f"{name} has shape {array.shape} where {shape} is needed")
     if not ((array >= least) & (array <= VALUE_MAX)).all():
         raise AgentError(f"{name} holds values outside {least:g} to {VALUE_MAX:g}")
-
-
-def _sigmoid(x: Array) -> Array:
-    # the tangent does not overflow
-    return 0.5 + 0.5 * np.tanh(0.5 * x)

@@ -8,7 +8,6 @@ goes on from a checkpoint is the run that was never stopped.
 
 from __future__ import annotations
 
-import csv
 import functools
 import importlib.util
 import io
@@ -36,14 +35,14 @@ from twin.agents.hyperparameters import (
     torch_options,
 )
 from twin.agents.policy import AgentError, Policy
-from twin.agents.weights import begin_nominal, policy_of, start_from
+from twin.agents.weights import begin_nominal, policy_of
 from twin.parallel import results_of
 from twin.sim.compact import COMPACT_SETS
 from twin.sim.wrapper import resolved
 from usv_gym.envs.tasks import make_task
 from usv_kernel import __version__
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.files import import_named, read_json, read_limited, write_whole
+from usv_kernel.files import read_json, write_whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
@@ -61,9 +60,6 @@ EVERY = 131_072
 
 CURVE_SEEDS = tuple(range(800_000, 800_016))
 """Episodes behind each point of a learning curve."""
-
-CURVE_BYTES_MAX = 1 << 24
-"""Longest learning curve that is read."""
 
 NOTES, CHECKPOINT, CURVE, POLICY = "run.json", "checkpoint.pt", "curve.csv", "policy.npz"
 """Files of a run."""
@@ -96,7 +92,6 @@ class Plan:
     every: int = EVERY  # decisions between two checkpoints
     # weights of terms of the reward, beside those of the hyperparameters
     reward_weights: Mapping[str, float] = field(default_factory=dict)
-    init: str = ""  # policy.npz whose weights it starts from
 
     def __post_init__(self) -> None:
         check_algorithm(self.algo)
@@ -138,15 +133,15 @@ class Run:
     @classmethod
     def of(cls, folder: Path) -> Run:
         """Return the run of a folder; AgentError where it has not ended, or is no run."""
+        import polars as pl
+
         if not (folder / POLICY).exists():
             went = "has not ended: the command that began it goes on with it"
             raise AgentError(f"{folder}: {went if (folder / NOTES).exists() else 'is no run'}")
         path = folder / CURVE
-        text = read_limited(path, AgentError, CURVE_BYTES_MAX).decode("utf-8", "replace")
         try:
-            rows = csv.DictReader(text.splitlines())
-            curve = [{key: float(value) for key, value in row.items()} for row in rows]
-        except (TypeError, ValueError, csv.Error) as error:
+            curve = pl.read_csv(path).cast(pl.Float64).to_dicts()
+        except (OSError, pl.exceptions.PolarsError) as error:
             raise AgentError(
                 f"{path}: is no learning curve ({error}); delete {folder} and train again"
             ) from None
@@ -161,18 +156,14 @@ def train(
     progress: bool = False,
     curve_seeds: tuple[int, ...] = CURVE_SEEDS,
     num_threads: int = 1,
-    callback: str = "",
 ) -> Run:
     """Train an agent, or go on with it, until it is done; AgentError: the folder holds another run.
 
     The folder has ``run.json`` (the plan), ``checkpoint.pt`` until it ends, ``curve.csv``, ``log/``
     (what Stable-Baselines3 logs, as CSV, and for TensorBoard if that is installed), and at the end
-    ``policy.npz``. ``hyper`` is that of
-    :func:`hyperparameters` if left out; ``curve_seeds`` are the episodes of each point of the
-    learning curve. ``num_threads`` share the boats, which changes no result. ``callback`` is
-    ``"module:function"``: Stable-Baselines3 calls it in each step with its local and global
-    variables, and what it does is its own affair: not part of the checkpoint. Returning False ends
-    the training there, and the policy is kept. A class derived from its ``BaseCallback`` will do.
+    ``policy.npz``. ``hyper`` is that of :func:`hyperparameters` if left out; ``curve_seeds`` are
+    the episodes of each point of the learning curve. ``num_threads`` share the boats, which changes
+    no result.
     """
     folder = Path(folder)
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
@@ -183,12 +174,11 @@ def train(
         import torch
 
         torch.set_num_threads(1)  # several are slower on networks of this size
-        given = callback_named(callback) if callback else None
         learner = _Learner(plan, folder, hyper, curve_seeds, num_threads)
         try:
             # only after the learner could be made
             write_whole(folder / NOTES, (json.dumps(notes, indent=1) + "\n").encode())
-            learner.learn(progress, given)
+            learner.learn(progress)
         finally:
             learner.envs.close()
         learner.policy({**asdict(plan), "hyper": hyper, "version": __version__}).save(
@@ -283,8 +273,6 @@ class _Learner:
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
         if not self.base:
             begin_nominal(self.model, made.episodes.nominal_action)
-        if plan.init:
-            start_from(Policy.load(plan.init), self.model, self.envs, self.base)
         self.curve: list[dict[str, float]] = []
         self.spent, self.since = np.zeros(2), _clocks()
         self._resume()
@@ -311,8 +299,8 @@ class _Learner:
         self._added = [name for name in base.entries if name not in seen]
         return [*seen, *self._added]
 
-    def learn(self, progress: bool = False, callback: Any = None) -> None:
-        """Train to the end, or to where the callback ends it."""
+    def learn(self, progress: bool = False) -> None:
+        """Train to the end."""
         from stable_baselines3.common.callbacks import BaseCallback
         from torch.distributions import Distribution
 
@@ -342,10 +330,7 @@ class _Learner:
                 # learn() would reset new boats before they are seeded; the break resets them after
                 self.model._last_obs = np.empty(0)
                 self.model.learn(
-                    left,
-                    callback=[Breaks(), callback] if callback else Breaks(),
-                    reset_num_timesteps=False,
-                    progress_bar=progress,
+                    left, callback=Breaks(), reset_num_timesteps=False, progress_bar=progress
                 )
             self.measure()
         finally:
@@ -379,6 +364,8 @@ class _Learner:
 
     def measure(self) -> None:
         """Add a point to the learning curve."""
+        import polars as pl
+
         self.spent += _clocks() - self.since
         policy = self.policy({})
         options = self.plan.environment | {"forecast_scores": False}
@@ -390,11 +377,7 @@ class _Learner:
             self.model.logger.record(f"evaluation/{name}", point[name])
         self.model.logger.dump(self.model.num_timesteps)
         self.curve.append(point)
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(point), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.curve)
-        write_whole(self.folder / CURVE, text.getvalue().encode())
+        write_whole(self.folder / CURVE, pl.DataFrame(self.curve).write_csv().encode())
         self.since = _clocks()
 
     def _save(self) -> None:
@@ -455,18 +438,6 @@ class _Learner:
 def _clocks() -> NDArray[np.float64]:
     """Return wall clock and CPU time of this process with all its threads, s."""
     return np.array([time.perf_counter(), time.process_time()])
-
-
-def callback_named(name: str) -> Any:
-    """Return a callback of Stable-Baselines3 by ``module:function``, or of a class by its name."""
-    from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
-
-    found = import_named(name, AgentError, f"--callback {name}", "module:function")
-    if isinstance(found, type) and issubclass(found, BaseCallback):
-        return found()
-    if not callable(found):
-        raise AgentError(f"--callback {name}: is no function, but {found!r}")
-    return ConvertCallback(found)
 
 
 def _averages(envs: VecNormalize) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Weights of policies: from Stable-Baselines3 into a policy file, and back into a new training."""
+"""Weights of policies, from Stable-Baselines3 into a policy file."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.agents.policy import AgentError, Policy
+from twin.agents.policy import Policy
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
-__all__ = ["begin_nominal", "policy_of", "start_from"]
-
-OBSERVATIONS_COUNTED = 10_000.0
-"""Weight of a saved mean and variance against those of new observations."""
+__all__ = ["begin_nominal", "policy_of"]
 
 
 def actor_layers(net: Any) -> list[Any]:
@@ -76,53 +73,6 @@ def begin_nominal(model: Any, action: NDArray[np.float64]) -> None:
         net.actor.mu.bias.data.copy_(torch.from_numpy(np.arctanh(0.999 * action)))
     else:
         net.action_net.bias.data.copy_(torch.from_numpy(action))
-
-
-def start_from(policy: Policy, model: Any, envs: VecNormalize, base: str) -> None:
-    """Give a new model the actor of a saved policy; its critic and its noise stay new.
-
-    ``base`` is the controller that the new model corrects. AgentError: the policy sees other
-    entries, or its net has another form.
-    """
-    import torch
-
-    names = tuple(envs.unwrapped.envs.observation_names)  # type: ignore[attr-defined]
-    if policy.names != names:
-        odd = sorted({*policy.names} ^ {*names})
-        raise AgentError(
-            f"--init: {policy.name} sees {len(policy.names)} entries, and this training has "
-            f"{len(names)}" + (f" (not in both: {', '.join(odd[:3])})" if odd else "")
-            + "; train with the same --obs or --entries"
-        )  # fmt: skip
-    net = model.policy
-    lstm = getattr(net, "lstm_actor", None)
-    saved = [part for layer in policy.layers for part in layer]
-    new = [part for layer in actor_layers(net) for part in (layer.weight, layer.bias)]
-    if policy.lstm is not None and lstm is not None:
-        of_input, of_hidden, bias = policy.lstm
-        saved = [of_input, bias, of_hidden, np.zeros_like(bias), *saved]
-        new = [lstm.weight_ih_l0, lstm.bias_ih_l0, lstm.weight_hh_l0, lstm.bias_hh_l0, *new]
-    forms = [
-        ([tuple(part.shape) for part in parts], *rest)
-        for parts, *rest in (
-            (saved, policy.lstm is None, policy.activation, policy.squash, policy.base),
-            (new, lstm is None, _activation(net), hasattr(net, "actor"), base),
-        )
-    ]
-    if forms[0] != forms[1]:
-        raise AgentError(
-            f"--init: {policy.name} and this training differ in shapes, memory, activation, bounds "
-            f"or base: {forms[0]}, {forms[1]}; choose the same algorithm and [policy_kwargs]"
-        )
-    if envs.norm_obs:
-        averages: Any = envs.obs_rms
-        averages.mean, averages.count = policy.mean.copy(), OBSERVATIONS_COUNTED
-        averages.var = np.maximum(policy.sd**2 - envs.epsilon, 0.0)
-    else:  # the first layer takes over the scale of its inputs
-        scaled = saved[0] / policy.sd
-        saved[:2] = scaled, saved[1] - scaled @ policy.mean
-    for parameter, values in zip(new, saved, strict=True):
-        parameter.data.copy_(torch.from_numpy(np.ascontiguousarray(values)))
 
 
 def _activation(net: Any) -> str:

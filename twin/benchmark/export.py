@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.benchmark.metrics import BASELINE, ORACLE
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
-from twin.benchmark.verdict.tables import number
+from twin.benchmark.verdict.tables import best_text, grouped, is_best, number
 
 __all__ = [
     "csv_text",
@@ -38,14 +38,6 @@ COLUMNS = {
 UNITS = {"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"}
 """Units of the metrics that have one."""
 
-IDEAL = {"coverage90": 0.9, "motion_coverage90": 0.9}
-"""Metrics whose best value is neither the smallest nor the largest."""
-
-LARGEST = ("skill", "brier_skill", "auc")
-
-NO_RACE = ("motion_sd", "motion_held", "base_rate", "auc_now")
-"""What the sea does, and what the present state says: no predictor's."""
-
 FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}"
 """Scales a table down to the width of the text, and none up."""
 
@@ -54,34 +46,6 @@ CSV_COLUMNS = (
     *("value", "low", "high", "median", "runs", "best"),
 )
 """Columns of the CSV table; ``low`` and ``high`` are the 95 % interval."""
-
-
-def _groups(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Return rows with the same values of some keys together, in their order."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row.get(key, "") for key in keys), []).append(row)
-    return groups
-
-
-def _best(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | None:
-    """Return the best value as it is printed; None if nothing is compared.
-
-    The oracle knows the true boat and takes no part.
-    """
-    if metric in NO_RACE:
-        return None
-    values = [factor * row["value"] for row in rows if row["predictor"] != ORACLE]
-    values = [value for value in values if math.isfinite(value)]
-    if len(values) < 2:
-        return None
-    if metric in IDEAL:
-        return number(min(values, key=lambda value: abs(value - factor * IDEAL[metric])))
-    return number(max(values) if metric in LARGEST else min(values))
-
-
-def _is_best(row: Row, best: str | None, factor: float = 1.0) -> bool:
-    return row["predictor"] != ORACLE and number(factor * row["value"]) == best
 
 
 def _recorded(results: Row) -> list[dict[str, Any]]:
@@ -105,7 +69,7 @@ def _motion(results: Row) -> list[dict[str, Any]]:
     Those of the motion are means over runs; ``score`` is what they are compared by.
     """
     table, own = [], (*CELL, "fault", "sea", "grade", "predictor")
-    for block in _groups(results.get("motion") or [], *own, "channel", "horizon_s").values():
+    for block in grouped(results.get("motion") or [], *own, "channel", "horizon_s").values():
         first = block[0]
         channel, ahead = first["channel"], f"{first['horizon_s']:g}s"
         for score in MOTION_METRICS:
@@ -148,14 +112,14 @@ def csv_text(results: Row) -> str:
 
     count, table = _runs(results), []
     rows = [*(results.get("summary") or []), *_recorded(results), *_motion(results)]
-    for block in _groups(rows, *CELL, "metric").values():
-        best = _best(block[0].get("score", block[0]["metric"]), block)
+    for block in grouped(rows, *CELL, "metric").values():
+        best = best_text(block[0].get("score", block[0]["metric"]), block)
         for row in block:
             own = tuple(row.get(key, "") for key in (*CELL, "predictor"))
             more = {
                 "unit": row.get("unit", UNITS.get(row["metric"], "")),
                 "runs": row.get("runs", count[own]),
-                "best": best is not None and _is_best(row, best),
+                "best": is_best(row, best),
             }
             table.append([{**row, **more}.get(name) for name in CSV_COLUMNS])
     buffer = io.BytesIO()
@@ -180,12 +144,12 @@ def latex_text(results: Row) -> str:
     program = (results.get("program") or {}).get("sources", "")
     tables = [
         f"% usv-twin {results.get('version', '')}, sources {program}\n"
-        f"% {_one_line(results.get('command', ''))}\n"
+        f"% {' '.join(results.get('command', '').split())}\n"
         "% needs \\usepackage{booktabs,graphicx}\n"
     ]
     count = _runs(results)
     summary = results.get("summary") or []
-    for (scenario, case, plan), rows in _groups(summary, *CELL).items():
+    for (scenario, case, plan), rows in grouped(summary, *CELL).items():
         runs = max(count[scenario, case, plan, row["predictor"]] for row in rows)
         over = f"mean over {runs} seeds" if runs > 1 else "one run"
         has = "each with its 95\\,\\% interval; " if any(r["low"] is not None for r in rows) else ""
@@ -199,7 +163,7 @@ def latex_text(results: Row) -> str:
             caption += " The oracle knows the true boat and takes no part."
         metrics = {m: head for m, head in COLUMNS.items() if any(r["metric"] == m for r in rows)}
         tables.append(_latex_table(rows, metrics, caption, f"{scenario}-{case}-{plan}"))
-    for (folder, fault, plan), rows in _groups(
+    for (folder, fault, plan), rows in grouped(
         _recorded(results), "scenario", "fault", "plan"
     ).items():
         runs = max(row["runs"] for row in rows)
@@ -219,10 +183,10 @@ def _latex_table(
     rows: Sequence[Row], metrics: Mapping[str, tuple[str, float]], caption: str, label: str
 ) -> str:
     """Return one LaTeX table with a line for each predictor."""
-    by_metric = _groups(rows, "metric")
-    best = {m: _best(m, by_metric[m,], factor) for m, (_name, factor) in metrics.items()}
+    by_metric = grouped(rows, "metric")
+    best = {m: best_text(m, by_metric[m,], factor) for m, (_name, factor) in metrics.items()}
     lines = []
-    for (predictor,), own in _groups(rows, "predictor").items():
+    for (predictor,), own in grouped(rows, "predictor").items():
         values, intervals = [], []
         found = {row["metric"]: row for row in own}
         for metric, (_head, factor) in metrics.items():
@@ -232,7 +196,7 @@ def _latex_table(
                 intervals.append("")
                 continue
             text = number(factor * row["value"])
-            bold = best[metric] is not None and _is_best(row, best[metric], factor)
+            bold = is_best(row, best[metric], factor)
             values.append(rf"\textbf{{{text}}}" if bold else text)
             low, high = row.get("low"), row.get("high")
             between = ""
@@ -270,10 +234,6 @@ def _planned(plan: str) -> str:
 def _escaped(text: str) -> str:
     """Return text with the marks that mean something to LaTeX written out."""
     return "".join(_SPECIAL.get(mark, mark) for mark in text)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _label(text: str) -> str:

@@ -20,7 +20,6 @@ __all__ = [
     "channel_table",
     "compare",
     "interval_of",
-    "mean_interval",
     "recorded_table",
     "resampled",
     "rows_of",
@@ -93,12 +92,6 @@ def interval_of(means: Array, seeds: int) -> tuple[float | None, float | None]:
         return None, None
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
-
-
-def mean_interval(values: Sequence[float]) -> tuple[float, float | None, float | None]:
-    """Return the mean over seeds and its 95 % bootstrap interval; None for under three seeds."""
-    array = np.asarray(values, dtype=np.float64)
-    return float(array.mean()), *interval_of(resampled(array), len(array))
 
 
 KEY = (*UNIT_KEY, "plan")

@@ -19,7 +19,6 @@ from twin.predictors.base import Z90
 from twin.predictors.registry import DEFAULT
 
 __all__ = [
-    "MOTION_CHANNELS",
     "MOTION_HORIZONS",
     "MOTION_METRICS",
     "MOTION_UNITS",
@@ -36,10 +35,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-MOTION_CHANNELS = ("roll", "pitch", "heave", "deck_speed")
-"""rad, rad, m and m/s; the last two are positive down."""
-
 MOTION_UNITS = {"roll": "rad", "pitch": "rad", "heave": "m", "deck_speed": "m/s"}
+"""Channels and their units; the last two are positive down."""
 
 MOTION_METRICS = ("rmse", "sd", "skill", "held", "crps", "coverage90")
 
@@ -147,7 +144,7 @@ def motion_table(parts: Sequence[MotionScore]) -> dict[str, Any]:
                 "crps": of.crps[:, :, c].mean(axis=0).tolist(),
                 "coverage90": of.covered[:, :, c].mean(axis=0).tolist(),
             }
-            for c, channel in enumerate(MOTION_CHANNELS)
+            for c, channel in enumerate(MOTION_UNITS)
         },
         "quiet": {
             "probability": of.quiet.T.tolist(),

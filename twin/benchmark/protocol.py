@@ -25,7 +25,7 @@ from twin.predictors.registry import (
     base_name,
     predictor_class,
 )
-from twin.sim.oracle import check_options_of, check_simulator
+from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.design.seaway import warning_of
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
@@ -152,7 +152,7 @@ class Settings:
                     f"no scenario is called {name!r}; known: {', '.join(SCENARIOS)}"
                 )
         for name in self.predictors:
-            check_options_of(name, self.vessel)
+            predictor_class(name)
         if self.model is not None and self.model not in MODELS:
             raise StructureError(
                 f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
@@ -244,11 +244,6 @@ class Unit:
     def run(self) -> str:
         """Name of the run, for files."""
         return f"{self.scenario}_{self.case}_{self.seed}"
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """Keys of its rows in the results."""
-        return {name: getattr(self, name) for name in UNIT_KEY}
 
 
 UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")

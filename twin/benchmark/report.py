@@ -9,30 +9,19 @@ from __future__ import annotations
 import base64
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.benchmark.figures import (
-    RunFigure,
-    deck_figure,
-    error_figure,
-    prediction_figure,
-    predictor_styles,
-    track_figure,
-    verdict_figure,
-)
-from twin.benchmark.figures.data import example_times, number_of, reference_of, run_label
-from twin.benchmark.figures.runs import SHOWN_AHEAD
-from twin.benchmark.figures.style import Styles, picture_bytes
+from twin.benchmark.figures.data import RunFigure, example_times, reference_of
+from twin.benchmark.figures.results import verdict_figure
+from twin.benchmark.figures.runs import prediction_figure, track_figure
+from twin.benchmark.figures.style import Styles, picture_bytes, predictor_styles
 from twin.benchmark.metrics import METRICS
 from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of
-from twin.benchmark.verdict.tables import best_text, grouped, interval, number
-from twin.parallel import results_of
-from twin.predictors.registry import DEFAULT
+from twin.benchmark.verdict.tables import best_text, grouped, interval, is_best, number, number_of
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -44,84 +33,45 @@ __all__ = [
 
 Row = Mapping[str, Any]
 
-DRAWN_CASES_MAX = 8
-"""Of more cases than these, the errors against the horizon are not drawn."""
-
 CHANNEL_METRICS = ("coverage90", "mae", "crps")
 """Metrics with a table by channel and horizon."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Picture:
-    """A picture with its file name and caption; ``svg`` is there once it is drawn."""
+    """A picture of the page: SVG in the source of an HTML image, and its caption."""
 
-    draw: Callable[[], Figure | None]
-    name: str
+    source: str
     caption: str
-    svg: bytes = b""
-
-    @property
-    def source(self) -> str:
-        """The picture as the source of an HTML image."""
-        return f"data:image/svg+xml;base64,{base64.b64encode(self.svg).decode()}"
 
 
-@dataclass
 class Pictures:
-    """The pictures of a report: asked for one by one, then drawn together."""
+    """Writes the pictures of a report to files of a folder, as PDF, too, if asked for."""
 
-    styles: Styles
-    all: list[Picture] = field(default_factory=list)
+    def __init__(self, folder: Path, styles: Styles, pdf: bool) -> None:
+        self.folder, self.styles, self.pdf = folder, styles, pdf
+        self.files: list[Path] = []
 
-    def add(self, draw: Callable[[], Figure | None], name: str, caption: str) -> Picture:
-        """Return a picture that :meth:`write` will draw."""
-        self.all.append(Picture(draw, name, caption))
-        return self.all[-1]
-
-    def write(
-        self, folder: Path, drawn: Callable[[str], None] | None, jobs: int, pdf: bool
-    ) -> list[Path]:
-        """Draw all pictures and write each to its file; return the SVG files."""
-        files: dict[int, dict[str, bytes]] = {}
-        kinds = ("svg", "pdf") if pdf else ("svg",)
-        calls = [partial(_drawn, picture.draw, kinds) for picture in self.all]
-        for k, found in results_of(calls, jobs=jobs):
-            files[k] = found
-            if drawn:
-                drawn(self.all[k].name)
-        written: list[Path] = []
-        for k, picture in enumerate(self.all):
-            stem = re.sub(r"[^A-Za-z0-9.-]+", "_", picture.name).strip("._") or "picture"
-            if folder / f"{stem}.svg" in written:
-                stem = f"{stem}_{k}"
-            for kind, data in files[k].items():
-                write_whole(folder / f"{stem}.{kind}", data)
-            if files[k]:
-                picture.svg = files[k]["svg"]
-                written.append(folder / f"{stem}.svg")
-        return written
-
-
-def _drawn(draw: Callable[[], Figure | None], kinds: Sequence[str]) -> dict[str, bytes]:
-    """Return the files of a picture by their kind; none where there is nothing to draw."""
-    figure = draw()
-    return {} if figure is None else {kind: picture_bytes(figure, kind) for kind in kinds}
+    def add(self, figure: Figure, name: str, caption: str) -> Picture:
+        """Write a picture; other characters than letters, digits, . and - of its name are _."""
+        stem = re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("._") or "picture"
+        if self.folder / f"{stem}.svg" in self.files:
+            stem = f"{stem}_{len(self.files)}"
+        if self.pdf:
+            write_whole(self.folder / f"{stem}.pdf", picture_bytes(figure, "pdf"))
+        svg = picture_bytes(figure, "svg")
+        self.files.append(self.folder / f"{stem}.svg")
+        write_whole(self.files[-1], svg)
+        return Picture(f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}", caption)
 
 
 def write_report(
-    out: Path,
-    results: dict[str, Any],
-    runs: list[RunFigure],
-    drawn: Callable[[str], None] | None = None,
-    jobs: int = 1,
-    *,
-    pdf: bool = False,
+    out: Path, results: dict[str, Any], runs: list[RunFigure], *, pdf: bool = False
 ) -> list[Path]:
     """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
-    ``results`` is the content of ``results.json``; parts of it may be missing. ``drawn`` is called
-    with the file name of each picture. ``jobs`` processes draw; the files do not depend on their
-    number. ``pdf`` writes each picture as PDF, too.
+    ``results`` is the content of ``results.json``; parts of it may be missing. ``pdf`` writes each
+    picture as PDF, too.
     """
     folder = Path(out) / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -130,8 +80,8 @@ def write_report(
             stale.unlink()
     rows = [*results.get("rows", ()), *results.get("summary", ())]
     predictors = [row["predictor"] for row in rows]
-    predictors += [name for run in runs for name in run.predictors]
-    pictures = Pictures(predictor_styles(dict.fromkeys(predictors)))
+    predictors += [name for run in runs for name in run.examples]
+    pictures = Pictures(folder, predictor_styles(dict.fromkeys(predictors)), pdf)
     # a run with a loss stands at the top, of a zigzag if there is one
     first = min(runs, key=lambda run: (not run.lost, run.scenario != "zigzag"), default=None)
     sections = {
@@ -146,17 +96,16 @@ def write_report(
         "faults": sorted({row["fault"] for row in rows} - {"none"}),
         "loss_ends": results.get("losses", ()),
         **_motion(results),
-        "cases": _cases(results, pictures),
+        "cases": _cases(results),
         "metrics": METRICS,
         "settings": {key: _text(value) for key, value in results.get("settings", {}).items()},
         "version": results.get("version", ""),
         "tuning": {name: item["tuning"] for name, item in results.get("predictors", {}).items()},
         "runs": [_run(run, pictures, run is first) for run in runs],
     }
-    written = pictures.write(folder, drawn, jobs, pdf)
     report = Path(out) / "report.html"
     write_whole(report, _page(sections).encode())
-    return [report, *written]
+    return [report, *pictures.files]
 
 
 def _page(sections: Mapping[str, Any]) -> str:
@@ -173,6 +122,7 @@ def _page(sections: Mapping[str, Any]) -> str:
     environment.filters |= {
         "number": number,
         "interval": interval,
+        "is_best": is_best,
         "title_of": lambda metric: METRICS[metric][0],
     }
     return environment.get_template("report.html.jinja").render(**sections)
@@ -225,28 +175,19 @@ def _motion(results: Row) -> dict[str, Any]:
     }
 
 
-def _cases(results: Row, pictures: Pictures) -> list[dict[str, Any]]:
-    """Return tables, and a picture of the errors, for each scenario and case."""
+def _cases(results: Row) -> list[dict[str, Any]]:
+    """Return tables for each scenario and case."""
     parts = {
         part: grouped(results.get(part, ()), "scenario", "case")
-        for part in ("summary", "rows", "paired", "channels")
+        for part in ("summary", "paired", "channels")
     }
     cases = []
     for key in parts["summary"]:
-        summary, rows, paired, channels = (groups.get(key, []) for groups in parts.values())
+        summary, paired, channels = (groups.get(key, []) for groups in parts.values())
         scenario, case = key
         title = f"{scenario}, {case}" if case != "none" else f"{scenario}, no fault"
         there = {row["metric"] for row in summary}
         metrics = [metric for metric in METRICS if metric in there]
-        picture = None
-        if len(parts["summary"]) <= DRAWN_CASES_MAX:
-            caption = (
-                "Error growth: mean absolute error of position and heading against the horizon, "
-                "mean over seeds, with the first plan. A curve that leaves the picture is counted "
-                "in full by the table."
-            )
-            draw = partial(error_figure, title, rows, pictures.styles)
-            picture = pictures.add(draw, f"{scenario}_{case}_error", caption)
         cases.append(
             {
                 "title": title,
@@ -264,7 +205,6 @@ def _cases(results: Row, pictures: Pictures) -> list[dict[str, Any]]:
                 "channels": {metric: _by_channel(metric, channels) for metric in CHANNEL_METRICS}
                 if channels
                 else {},
-                "picture": picture,
             }
         )
     return cases
@@ -291,49 +231,30 @@ def _first_pictures(
             "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. The table "
             "has the numbers of bars that are cut. oracle is the true ship in the mean wind."
         )
-        draw = partial(verdict_figure, verdict, pictures.styles)
-        shown.append(pictures.add(draw, "verdict", caption))
+        figure = verdict_figure(verdict, pictures.styles)
+        shown.append(pictures.add(figure, "verdict", caption))
     return shown if run is None else [*shown, _track(run, pictures)]
-
-
-def _stem(run: RunFigure) -> str:
-    """Return how the names of the pictures of a run begin."""
-    return f"{run.scenario}_{run.fault}_seed{run.seed}"
-
-
-def _compared(run: RunFigure) -> str:
-    """Return what the predictions of a run are compared with."""
-    known = reference_of(run.log).is_truth
-    return "truth" if known else "measurements (the truth is unknown)"
 
 
 def _track(run: RunFigure, pictures: Pictures) -> Picture:
     """Return the picture of the track of one run."""
     caption = (
-        f"{run_label(run)}: track, and predicted tracks over 10 s from each example (numbered). "
-        f"Axes follow the {_compared(run)}; a prediction may leave them."
+        f"{run.label}: track, and predicted tracks over 10 s from each example (numbered). "
+        "Axes follow the run; a prediction may leave them."
     ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
-    draw = partial(track_figure, run, pictures.styles)
-    return pictures.add(draw, f"{_stem(run)}_track", caption[0].upper() + caption[1:])
+    figure = track_figure(run, pictures.styles)
+    return pictures.add(figure, f"{run.name}_track", caption[0].upper() + caption[1:])
 
 
 def _run(run: RunFigure, pictures: Pictures, track_shown: bool) -> dict[str, Any]:
     """Return the pictures of one run; its track may stand at the top of the page."""
-    reference, styles = reference_of(run.log), pictures.styles
+    reference = reference_of(run.log)
     shown = [] if track_shown else [_track(run, pictures)]
     for k, start in enumerate(example_times(run), 1):
         caption = (
-            f"10 s motion prediction against the {_compared(run)}, made at "
-            f"t = {round(start, 1):g} s. Curves may leave their panel."
+            f"10 s motion prediction, made at t = {round(start, 1):g} s. Curves may leave their "
+            "panel. Measurements stand for a truth that is not known."
         )
-        draw = partial(prediction_figure, run, start, styles, reference)
-        shown.append(pictures.add(draw, f"{_stem(run)}_prediction{k}", caption))
-    decked = [name for name, figure in run.predictors.items() if figure.deck is not None]
-    if decked:
-        name = DEFAULT if DEFAULT in decked else decked[0]
-        caption = (
-            f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
-            f"with {name} forecast {SHOWN_AHEAD:g} s before."
-        )
-        shown.append(pictures.add(partial(deck_figure, run, name), f"{_stem(run)}_deck", caption))
-    return {"title": run_label(run), "pictures": shown}
+        figure = prediction_figure(run, start, pictures.styles, reference)
+        shown.append(pictures.add(figure, f"{run.name}_prediction{k}", caption))
+    return {"title": run.label, "pictures": shown}

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
-from twin.benchmark.figures.runs import SHOWN_AHEAD
+from twin.benchmark.figures.data import RunFigure
 from twin.benchmark.loading import Run, fault_start, load_run
 from twin.benchmark.metrics import (
     channel_table,
@@ -46,17 +45,17 @@ from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
-from twin.logs.log import Log, files_of, recorded_runs, sibling_path
+from twin.logs.log import Log, files_of, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
-from twin.predictors.base import ForecastError, Prediction
+from twin.predictors.base import ForecastError, Prediction, Predictor
 from twin.predictors.registry import options_of, predictor_class
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.channels import FIXES_BIT, GPS_BIT
-from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, parse_faults
+from usv_gym.world.faults import FAULT_KINDS, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
 from usv_kernel.files import write_whole
@@ -73,9 +72,6 @@ Array = NDArray[np.float64]
 
 AGAINST = "ukf"
 """Default reference of the paired comparison."""
-
-DRAWN_EVERY = 5
-"""Of so many rows one has its forecast of the deck drawn."""
 
 AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
@@ -115,22 +111,12 @@ def run_unit(
     starts: list[float] = []
     skipped = 0
     examples: list[Prediction] = []
-    ahead: list[tuple[float, Array, Array]] = []
-    prediction: Prediction | None = None
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
         # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
         if row in loss_ends:
             ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference))
-        shown = pictures and row % DRAWN_EVERY == 0 and t + SHOWN_AHEAD <= seen.t[-1]
-        if shown and motion_truth is not None and prediction is not None:
-            drawn = twin.motion.forecast(
-                prediction.t - prediction.t0, prediction.mean, prediction.start
-            )
-            if drawn is not None:
-                mean, sd = drawn.at([SHOWN_AHEAD])
-                ahead.append((t + SHOWN_AHEAD, mean[0], sd[0]))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -192,12 +178,6 @@ def run_unit(
         result["motion"] = {plan: motion_table(parts) for plan, parts in motions.items() if parts}
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
-        if motion_truth is not None and ahead:
-            times, means, sds = map(np.array, zip(*ahead, strict=True))
-            result["deck"] = {
-                **{"t": times.tolist(), "mean": means.tolist(), "sd": sds.tolist()},
-                "truth": motion_truth.at(times).tolist(),
-            }
     keep(result_file(folder, unit), [digest(settings, unit), pictures], result)
     return result
 
@@ -286,26 +266,21 @@ def result_file(folder: Path, unit: Unit) -> Path:
     return folder / "runs" / f"{name}.json"
 
 
-def finished(
-    settings: Settings, unit: Unit, folder: Path, *, pictures: bool
-) -> dict[str, Any] | None:
+def finished(settings: Settings, unit: Unit, folder: Path) -> dict[str, Any] | None:
     """Return the result of earlier work with the same settings, if there is one."""
     path = result_file(folder, unit)
     if not path.exists():
         return None
-    result: dict[str, Any] | None = kept(path, [digest(settings, unit), pictures])
+    key = [digest(settings, unit), wants_pictures(settings, unit)]
+    result: dict[str, Any] | None = kept(path, key)
     # an equal log may lie in another folder now
     return None if result is None else {**result, "unit": dataclasses.asdict(unit)}
 
 
 def reusable(settings: Settings, folder: Path) -> dict[Unit, dict[str, Any]]:
     """Return the results of earlier work that nothing has changed since."""
-    found = {}
-    for unit in units(settings):
-        result = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
-        if result is not None:
-            found[unit] = result
-    return found
+    found = {unit: finished(settings, unit, folder) for unit in units(settings)}
+    return {unit: result for unit, result in found.items() if result is not None}
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
@@ -327,48 +302,34 @@ def runs(
     folder: Path,
     *,
     jobs: int = 1,
-    backend: str = "loky",
     done: Mapping[Unit, dict[str, Any]] | None = None,
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
-    A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
-    and what a net learned or answered on the one serves the others. Where there are fewer boats
-    than workers, it takes a run, which is simulated or read once, or single predictors. The
-    results do not depend on ``jobs`` and ``backend`` (one of ``twin.parallel.BACKENDS``). After an
-    error (a log that cannot be read, say) the rest goes on. ``done`` are the results to reuse, if
-    not those of :func:`reusable`; none computes all again.
+    A worker takes a run, which is simulated or read once, or where there are fewer runs than
+    workers single predictors. The results do not depend on ``jobs``. After an error (a log that
+    cannot be read, say) the rest goes on. ``done`` are the results to reuse, if not those of
+    :func:`reusable`; none computes all again.
     """
-    todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
+    todo: dict[tuple[str, ...], list[Unit]] = {}
     done = reusable(settings, folder) if done is None else done
     for unit in units(settings):
         if unit in done:
             yield unit, done[unit]
         else:
-            boat = unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade
-            todo.setdefault(boat, {}).setdefault(unit.run, []).append(unit)
+            todo.setdefault((unit.log, unit.sea, unit.grade, unit.run), []).append(unit)
     if not todo:
         return
     # recorded runs first: they are the longest, and no worker is to wait for them at the end
-    boats = sorted(todo, key=lambda boat: not boat[2])
-    tasks = [list(todo[boat].values()) for boat in boats]
+    tasks = [todo[run] for run in sorted(todo, key=lambda run: not run[0])]
     if len(tasks) < jobs:
-        tasks = [[run] for task in tasks for run in task]
-    if len(tasks) < jobs:
-        tasks = [[[unit]] for task in tasks for unit in task[0]]
+        tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for result in results_of(calls, jobs=jobs, backend=backend):
+    for result in results_of(calls, jobs=jobs):
         yield from result[1]
 
 
 def _attempt(
-    settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
-) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of some runs; an error of one does not stop the others."""
-    return [found for run in task for found in _attempt_run(settings, run, folder)]
-
-
-def _attempt_run(
     settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
     """Score the predictors of one run."""
@@ -391,7 +352,7 @@ def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str,
 
 
 def _portable(error: Exception) -> BenchmarkError:
-    """Return an error that every backend can send, with the kind of an unexpected one."""
+    """Return an error that a worker can send, with the kind of an unexpected one."""
     plain = isinstance(error, (ValueError, OSError)) and str(error)
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
@@ -422,7 +383,11 @@ def collect(
             "logs": [Path(path).name for path in settings.logs],
         },
         "predictors": {
-            name: {"tuning": predictor_class(name).tuning, "sources": predictor_digest(name)}
+            # a subclass does not inherit the search for its parent's settings
+            name: {
+                "tuning": vars(predictor_class(name)).get("tuning", Predictor.tuning),
+                "sources": predictor_digest(name),
+            }
             for name in settings.predictors
         },
         "logs": {
@@ -453,13 +418,8 @@ def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, floa
     """Return the spans of time without GPS in a run, s."""
     begin = float(run.reference.t[0])
     faults = parse_faults(unit.fault, fault_start(settings, run.identify - begin))
-    return [(start + begin, end + begin) for start, end in gps_windows(faults)]
-
-
-def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
-    """Return the spans of time without GPS of faults with a given start, s."""
     return [
-        (fault.start, fault.start + fault.duration)
+        (begin + fault.start, begin + (fault.start + fault.duration))
         for fault in faults
         if isinstance(fault, Fault)
         and fault.effect == "loss"
@@ -467,15 +427,10 @@ def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
     ]
 
 
-def default_logs() -> tuple[str, ...]:
-    """Return the recorded runs that a benchmark without arguments scores."""
-    return tuple(str(path) for path in recorded_runs().values())
-
-
-def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
+def warm_up(settings: Settings, *, jobs: int = 1) -> None:
     """Compile once what all workers will need."""
     boat = Vessel.load(settings.vessel), settings.sea(), settings.dof
-    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
+    compile_kernels(boat, settings.predictors, jobs=jobs)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
@@ -494,11 +449,9 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
                 seed=unit.seed,
                 log=run.reference,
                 lost=lost_gps(settings, unit, run),
-                predictors={},
+                examples={},
             )
-        deck = result.get("deck")
-        shown[key].predictors[unit.predictor] = PredictorFigure(
-            examples=[_prediction_of(example) for example in result["examples"]],
-            deck=None if deck is None else DeckHistory(**{k: np.array(v) for k, v in deck.items()}),
-        )
+        shown[key].examples[unit.predictor] = [
+            _prediction_of(example) for example in result["examples"]
+        ]
     return list(shown.values())

@@ -203,10 +203,6 @@ class Verdict:
         One every :data:`FORECAST_EVERY_S`.
     losses : tuple of GpsLoss
         Those that were tried.
-    deviations : tuple of (str, float)
-        Parameters and their distance from the prior in its standard deviations, largest first.
-    in_use : ParametersInUse or None
-        Candidate with which the predictor forecasts; None where it has no choice.
     notes : tuple of str
         When the twin doubted or excluded which sensor.
     """
@@ -218,28 +214,12 @@ class Verdict:
     answers: tuple[Answer, ...]
     forecasts: tuple[ScoredForecast, ...]
     losses: tuple[GpsLoss, ...]
-    deviations: tuple[tuple[str, float], ...]
-    in_use: ParametersInUse | None = None
     notes: tuple[str, ...] = ()
 
     @property
     def grade(self) -> str:
         """The worst grade of the answers."""
         return _worst(answer.grade for answer in self.answers)
-
-    @property
-    def unfit(self) -> str:
-        """Why no prior of the boat should be made of this run; empty if it may be.
-
-        Sensors or commands are at fault, so that the parameters learned the fault, or the forecasts
-        are bad, so that the run may be of another boat.
-        """
-        reasons = []
-        for answer in self.answers:
-            turned = answer.about == "parameters" and answer.numbers.get("sign")
-            if answer.grade == BAD and (turned or answer.about in ("sensors", "forecast")):
-                reasons.append(f"{answer.about}: {answer.text}")
-        return "; ".join(reasons)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as plain data."""
@@ -253,8 +233,6 @@ class Verdict:
                 {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
                 for loss in self.losses
             ],
-            "deviations_in_prior_sd": dict(self.deviations),
-            "parameters_in_use": None if self.in_use is None else self.in_use.name,
             "health_notes": list(self.notes),
         }
 
@@ -431,10 +409,9 @@ class TrustMeter:
             What :func:`twin.integrity.log_check.check_log` found in the log.
         """
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
-        deviations, parameters = self._parameter_answer(scores)
         answers: tuple[Answer, ...] = (
             *scores,
-            parameters,
+            self._parameter_answer(scores),
             sensor_answer(findings, self._seconds_in, self._span),
         )
         if self.twin.motion.active:
@@ -447,8 +424,6 @@ class TrustMeter:
             answers=answers,
             forecasts=tuple(self.forecasts),
             losses=tuple(self.losses),
-            deviations=tuple(deviations),
-            in_use=self.twin.predictor.parameters_in_use(),
             notes=tuple(self.twin.notes),
         )
 
@@ -548,17 +523,15 @@ class TrustMeter:
         numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
         return Answer("attitude", grade, text, numbers)
 
-    def _parameter_answer(self, scores: Sequence[Answer]) -> tuple[list[tuple[str, float]], Answer]:
-        """Return how far parameters are from the prior, and what that says."""
+    def _parameter_answer(self, scores: Sequence[Answer]) -> Answer:
         predictor, own = self.twin.predictor, self.particulars.prior is not None
         in_use, last = predictor.parameters_in_use(), self.twin.estimate()
         if in_use is not None and in_use.is_prior and in_use.refit is not None:
             mean, sd = in_use.refit
             last = dataclasses.replace(last, params=mean, params_sd=sd)
-        deviations, drag = self._deviations(last)
         if not self.twin.estimate().ready:
-            text = "cannot tell: no fix and heading together"
-            return deviations, Answer("parameters", DOUBTFUL, text)
+            return Answer("parameters", DOUBTFUL, "cannot tell: no fix and heading together")
+        deviations, drag = self._deviations(last)
         turned = turned_effects(predictor.parameter_names, self.prior, last)
         answer = parameter_answer(
             deviations, turned, speed_ratio(self.log, self.particulars), drag, in_use, own
@@ -566,7 +539,7 @@ class TrustMeter:
         if answer.grade == BAD and all(score.grade == OK for score in scores):
             # the prior may be too narrow for a boat that its twin predicts well
             answer = dataclasses.replace(answer, grade=DOUBTFUL)
-        return deviations, answer
+        return answer
 
     def _deviations(self, last: Estimate) -> tuple[list[tuple[str, float]], float]:
         """Return how far parameters ended from the prior, in its deviations; and a factor.
@@ -655,6 +628,7 @@ def parameter_answer(
             parts.append("no refit yet" if in_use.refit is None else "the rest is of a refit")
     numbers = {
         "far": dict(far),
+        "deviations_in_prior_sd": dict(deviations),
         "sign": list(turned),
         "speed_ratio": speed,
         "count": len(deviations),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +12,7 @@ import typer
 from rich.progress import TimeRemainingColumn
 
 from twin.benchmark import runner
+from twin.benchmark.export import csv_text, latex_text
 from twin.benchmark.protocol import (
     FULL,
     FULL_CASES,
@@ -29,7 +29,6 @@ from twin.benchmark.protocol import (
 from twin.cli.common import (
     CPUS,
     OPTIONS_EXAMPLE,
-    BackendOption,
     DofOption,
     HsOption,
     JobsOption,
@@ -39,7 +38,6 @@ from twin.cli.common import (
     WindOption,
     console,
     errors,
-    note,
     parse_list,
     parse_predictors,
     parse_seeds,
@@ -48,12 +46,12 @@ from twin.cli.common import (
     stopped,
     write_text,
 )
-from twin.cli.tables import print_results, print_scores
+from twin.cli.tables import print_scores
 from twin.digital_twin import PLANS
 from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
+from twin.logs.log import recorded_runs
 from twin.logs.rosbag import is_bag
-from twin.parallel import check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
@@ -78,15 +76,6 @@ def benchmark_command(
             "after its origin, and that all are finite. Exit code 1: it fails."
         ),
     ] = None,
-    faults_matrix: Annotated[
-        bool,
-        typer.Option(
-            "--faults-matrix",
-            help="Only sail the faults of sensors, commands and thrusters that a twin must bear, "
-            "with GPS at 20, 5 and 1 Hz and without, and print how ukf does. --predictors and "
-            "--seeds [0-3] say what else.",
-        ),
-    ] = False,
     scenarios: Annotated[
         str | None,
         typer.Option(help=f"Comma-separated, of: {', '.join(SCENARIOS)}. [turn,zigzag]"),
@@ -150,8 +139,8 @@ def benchmark_command(
     ship: Annotated[
         str | None,
         typer.Option(
-            help="Particulars for the recorded runs, as for identify. A file of [[ship]] tables "
-            "holds several boats, each with its logs."
+            help="Particulars for the recorded runs, as for identify. Several boats: a <log>.toml "
+            "beside each log."
         ),
     ] = None,
     mapping: MappingOption = None,
@@ -175,10 +164,6 @@ def benchmark_command(
         ),
     ] = False,
     jobs: JobsOption = CPUS,
-    backend: BackendOption = "loky",
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all tables that the report has.")
-    ] = False,
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
@@ -193,7 +178,7 @@ def benchmark_command(
     reported, and the others are scored.
 
     Prints a verdict: errors after 10 s in metres and degrees, with and without the loss, and over
-    those of persistence, best first. --verbose prints all tables; the report has them too.
+    those of persistence, best first. The report has all tables.
 
     Writes results.json, report.html, the pictures, and every run as a log for identify and
     predict. Ctrl-C keeps what is finished; the same command continues from there.
@@ -201,13 +186,7 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
-    if faults_matrix:
-        given = "ukf" if predictors == ",".join(PREDICTORS) else predictors
-        _matrix(parse_predictors(given), parse_seeds(seeds or "0-3"), out, jobs)
-        return
-    check_backend(backend)
-    asked = parse_predictors(predictors)
-    names, notes = available(asked)
+    names, notes = available(parse_predictors(predictors))
     if not names:
         raise PredictorError("; ".join(notes))
     recorded, missing = _find_logs(log or [])
@@ -217,7 +196,7 @@ def benchmark_command(
     elif cases is not None:
         raise BenchmarkError("--cases are those of the full protocol: add --full")
     else:
-        options["logs"] = recorded or runner.default_logs()
+        options["logs"] = recorded or tuple(map(str, recorded_runs().values()))
     if recorded:
         options |= {"scenarios": (), "ship": ship}
     elif scenarios is not None:
@@ -253,20 +232,20 @@ def benchmark_command(
     for line in notes:  # the verdict comes first on the standard output
         errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
-    done, failed = _run_all(settings, out, jobs, backend, fresh)
+    done, failed = _run_all(settings, out, jobs, fresh)
     reasons = [*missing.items(), *((unit.log or unit.run, why) for unit, why in failed.items())]
     said = (why if run in why else f"{run}: {why}" for run, why in reasons)
     not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = runner.collect(settings, done, command, notes + not_scored, against)
-    _write_tables(results, latex, csv)
+    for path, text_of in ((latex, latex_text), (csv, csv_text)):
+        if path is not None:
+            write_text(path, text_of(results))
     if full:  # hundreds of thousands of rows: a table of their own
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
     print_scores({**results, "notes": []})  # they were printed before the runs
-    if verbose:
-        print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
@@ -280,24 +259,9 @@ def benchmark_command(
     from twin.benchmark.report import write_report
 
     figures = runner.run_figures(settings, done)
-    with progress_bar(transient=True, console=errors) as progress:
-        bar = progress.add_task("drawing", total=None)
-
-        def drawn(name: str) -> None:
-            progress.update(bar, advance=1, description=name)
-
-        written = write_report(out, results, figures, drawn, jobs, pdf=pdf)
-    more = "" if verbose else "; --verbose prints all tables"
-    console.print(f"report: {written[0]}; numbers: {out / 'results.json'}{more}", soft_wrap=True)
-
-
-def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
-    """Write the tables for a paper, as far as they are asked for."""
-    from twin.benchmark.export import csv_text, latex_text
-
-    for path, text_of in ((latex, latex_text), (csv, csv_text)):
-        if path is not None:
-            write_text(path, text_of(results))
+    with status("drawing"):
+        written = write_report(out, results, figures, pdf=pdf)
+    console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
 
 
 def _parse_cases(text: str | None) -> tuple[Case, ...]:
@@ -350,28 +314,8 @@ def _check(name: str) -> None:
     )
 
 
-def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: int) -> None:
-    """Sail the fault matrix, and print and write its tables."""
-    from twin.benchmark.fault_matrix import fault_runs, matrix_units, tables
-
-    out.mkdir(parents=True, exist_ok=True)
-    file, units, results = out / "fault_matrix.json", matrix_units(predictors, seeds), []
-    with progress_bar(TimeRemainingColumn()) as bar:
-        task = bar.add_task("fault matrix", total=len(units))
-        try:
-            for done, found in fault_runs(units, file, jobs=jobs):
-                results = found
-                bar.update(task, completed=done)
-        except KeyboardInterrupt:
-            raise stopped(f"{file} has what is finished; the same command goes on") from None
-    text = "\n".join(tables(results))
-    write_text(out / "fault_matrix.md", text)
-    print(text, end="")
-    note(f"{file}, {out / 'fault_matrix.md'}")
-
-
 def _run_all(
-    settings: Settings, out: Path, jobs: int, backend: str, fresh: bool
+    settings: Settings, out: Path, jobs: int, fresh: bool
 ) -> tuple[dict[Unit, dict[str, Any]], dict[Unit, str]]:
     """Do all work under a progress bar, and return results and errors; Ctrl-C ends it early."""
     done: dict[Unit, dict[str, Any]] = {}
@@ -382,14 +326,14 @@ def _run_all(
         # not on the standard output, which begins with the results
         errors.print(f"{len(reused)} of {len(work)} results reused", highlight=False)
         if len(reused) < len(work):
-            runner.warm_up(settings, jobs=jobs, backend=backend)
+            runner.warm_up(settings, jobs=jobs)
         # one estimate over many runs, as each comes with all its predictors at a time
         columns = TimeRemainingColumn()
         with progress_bar(
             columns, transient=True, console=errors, speed_estimate_period=600.0
         ) as progress:
             bar = progress.add_task("benchmark", total=len(work))
-            for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
+            for unit, result in runner.runs(settings, out, jobs=jobs, done=reused):
                 if isinstance(result, Exception):
                     failed[unit] = str(result)
                 else:

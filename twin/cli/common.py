@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import json
 import math
 import os
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -23,7 +24,6 @@ from twin.logs.bag_writer import BAG_SUFFIX, check_bag
 from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.model.structure import MODELS
-from twin.parallel import BACKENDS
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
@@ -45,6 +45,9 @@ _narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
 console = Console(markup=False, width=None if _narrow else PIPE_WIDTH)
 
 errors = Console(stderr=True, markup=False)
+
+SHOWN_EVERY_ROWS = 100
+"""After so many rows of a log the progress bar moves."""
 
 
 class OptionError(UsvTwinError):
@@ -172,9 +175,6 @@ JobsOption = Annotated[
     int, typer.Option(min=1, help="Workers; the results do not depend on the number.")
 ]
 
-BackendOption = Annotated[
-    str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
-]
 
 CPUS = os.cpu_count() or 1
 
@@ -220,26 +220,19 @@ def progress_bar(*more: ProgressColumn, **options: Any) -> Progress:
     return Progress(*columns, **{"console": console, **options})
 
 
-class row_progress:
-    """A progress bar for rows of a log."""
+@contextlib.contextmanager
+def row_progress(text: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar for the rows of a log; call what it gives after each row."""
+    rows = itertools.count(1)
+    # the compiler shows a line of its own where kernels are not cached
+    with progress_bar(transient=True, disable=not cached()) as progress:
+        task = progress.add_task(text, total=total)
 
-    def __init__(self, text: str, total: int) -> None:
-        self._progress = progress_bar(transient=True)
-        self._task = self._progress.add_task(text, total=total)
-        self._count = 0
+        def advance() -> None:
+            if (done := next(rows)) % SHOWN_EVERY_ROWS == 0:
+                progress.update(task, completed=done)
 
-    def __enter__(self) -> Callable[[], None]:
-        if cached():  # the compiler shows a line of its own otherwise
-            self._progress.start()
-        return self._advance
-
-    def _advance(self) -> None:
-        self._count += 1
-        if self._count % 100 == 0:
-            self._progress.update(self._task, completed=self._count)
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+        yield advance
 
 
 def radians(degrees: float | None) -> float | None:

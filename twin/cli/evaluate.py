@@ -16,11 +16,9 @@ from twin.agents.evaluation import (
     on_grid,
     trained_with,
 )
-from twin.agents.video import check_video, record_video
 from twin.cli.common import (
     AnyCurrentOption,
     AnyWindOption,
-    BackendOption,
     JobsOption,
     console,
     parse_list,
@@ -29,7 +27,7 @@ from twin.cli.common import (
     progress_bar,
     write_json,
 )
-from twin.cli.tables import print_episodes, print_forecasts
+from twin.cli.tables import print_episodes
 from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
@@ -80,14 +78,7 @@ def evaluate_command(
             "--log-dir", help="Write each episode there as a log, for the other commands."
         ),
     ] = None,
-    video: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a video of the first episode, all agents side by side: .mp4 or .gif."
-        ),
-    ] = None,
     jobs: JobsOption = 1,
-    backend: BackendOption = "loky",
 ) -> None:
     """Let agents sail the same episodes, and grade the twin's forecasts on them.
 
@@ -103,8 +94,6 @@ def evaluate_command(
     agents = [agent for model in models for agent in agents_named(model)]
     given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
-    if video is not None:
-        check_video(video, len(agents))
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:
         log_dir.mkdir(parents=True, exist_ok=True)
@@ -117,18 +106,13 @@ def evaluate_command(
     made: dict[int, list[dict[str, Any]]] = {}
     with progress_bar(TimeElapsedColumn()) as progress:
         bar = progress.add_task("evaluating", total=len(calls))
-        for i, rows in results_of([pair[1] for pair in calls], jobs=jobs, backend=backend):
+        for i, rows in results_of([pair[1] for pair in calls], jobs=jobs):
             made[i] = rows
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     print_episodes(found)
-    print_forecasts(found)
     if log_dir is not None:
         console.print(f"logs of {len(found)} episodes: {log_dir}")
-    if video is not None:
-        first = {"seed": where["seeds"][0], "sea": seas[0], "faults": outages[0]}
-        frames = record_video(video, [agent for _model, agent in agents], **first, **same)
-        console.print(f"video of seed {first['seed']}, {frames} frames: {video}")
     if json_file is not None:
         write_json(json_file, found)
         console.print(f"every episode: {json_file}")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from twin.benchmark.trust import TrustMeter
 from twin.channels import STATE
 from twin.cli.common import (
     MappingOption,
@@ -26,11 +24,8 @@ from twin.cli.common import (
 )
 from twin.cli.tables import print_estimate, print_health, print_prior
 from twin.digital_twin import Twin
-from twin.integrity.log_check import check_log
 from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.errors import LogError
-from twin.logs.log import Log
-from twin.logs.tables import StateTable
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
@@ -53,7 +48,7 @@ def identify_command(
         typer.Option(
             "--predictor",
             "-p",
-            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}, or the resumed one.",
+            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}.",
         ),
     ] = None,
     model: ModelOption = None,
@@ -62,12 +57,6 @@ def identify_command(
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
     save: Annotated[
         Path | None, typer.Option(help="File for the whole state of the twin at the end.")
-    ] = None,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            help="File that --save wrote: continue from it, with the rows after its time."
-        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -91,14 +80,6 @@ def identify_command(
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
     ] = False,
-    with_faulty: Annotated[
-        bool,
-        typer.Option(
-            "--with-faulty",
-            help="Keep with --save-prior also runs in which sensors or commands are at fault, or "
-            "whose forecasts are bad.",
-        ),
-    ] = False,
 ) -> None:
     """Run the twin over a log, and print the state and the parameters that it estimates.
 
@@ -106,31 +87,25 @@ def identify_command(
     gps_x_m, gps_y_m and compass_rad; gps_vx_mps, gps_vy_mps, gyro_radps, accel_x_mps2 and
     accel_y_mps2 help. Empty cells are missing data.
 
-    With --save the twin can continue later, here with --resume or in Python with Twin.load. The
-    results are the same bits as without the stop. The file holds predictor, boat and instruments;
-    those options are then left out.
+    With --save the twin can continue later, in Python with Twin.load. The results are the same bits
+    as without the stop. The file holds predictor, boat and instruments.
 
     Several logs are runs of one boat: each is identified by itself, and the parameters are
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
-    boat's own prior, also of one run. Each run begins without an earlier prior. Runs in which
-    sensors or commands are at fault, or whose forecasts are bad, are left out of it. A run that is
-    given twice counts once.
+    boat's own prior, also of one run. Each run begins without an earlier prior.
 
-    Whether the twin may be trusted says usv-twin check.
+    Whether a twin may be trusted says usv-twin check: give no run that it calls bad.
     """
-    if save_prior is not None:
-        if resume is not None:
-            raise OptionError("--save-prior and --resume: a prior is made from whole runs")
-        if save_prior.exists() and not force:
-            raise OptionError(
-                f"--save-prior {save_prior}: is there already; choose another name, or --force"
-            )
-    one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
+    if save_prior is not None and save_prior.exists() and not force:
+        raise OptionError(
+            f"--save-prior {save_prior}: is there already; choose another name, or --force"
+        )
+    one = {"--save": save, "--out": out, "--json": json_file}
     given = [name for name, value in one.items() if value is not None]
+    logs = list(dict.fromkeys(logs))
     if len(logs) > 1 and given:
         raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
     together = save_prior is not None or len(logs) > 1
-    seen: dict[str, Path] = {}
     twins = []
     for path in logs:
         log, twin = twin_for_log(
@@ -140,25 +115,17 @@ def identify_command(
             mapping=mapping,
             model=model,
             until=until,
-            resume=resume,
             own_prior=not together,
         )
         for line in log.notes:
             note(line)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
-        content = hashlib.sha256(b"".join(part.tobytes() for part in (log.t, log.z, log.cmd)))
-        first = seen.setdefault(content.hexdigest(), path)
-        if first is not path:
-            note(f"{path}: has the same rows as {first}, and counts once")
-            continue
         if out is not None:
             check_out(out, log, twin)
-        fresh = Twin.load(resume) if resume is not None else twin
-        fresh.reset()
-        prior = fresh.estimate()
-        meter = TrustMeter(twin, log) if save_prior is not None else None
-        table = _run(twin, log, meter)
-        print_health(twin)
+        prior = twin.estimate()
+        with row_progress(f"identifying {log.name}", len(log)) as advance:
+            table = twin.run(log, advance)
+        print_health(twin.notes)
         last = twin.estimate()
         if not last.ready:
             raise LogError(f"{path}: no fix and heading came together, so there is nothing to say")
@@ -175,37 +142,13 @@ def identify_command(
             console.print(f"every row: {out}")
         if json_file is not None:
             write_json(json_file, _estimate_json(last, twin))
-        unfit = ""
-        if meter is not None and not with_faulty:
-            findings = check_log(path, mapping, twin.particulars).findings
-            unfit = meter.verdict(findings).unfit
-        if unfit:
-            note(f"{path}: left out of the prior, or keep it with --with-faulty; {unfit}")
-        else:
-            twins.append(twin)
+        twins.append(twin)
     if together:
         _combine(twins, save_prior)
 
 
-def _run(twin: Twin, log: Log, meter: TrustMeter | None) -> StateTable:
-    """Run a twin over a log under a progress bar, scored by a meter if there is one."""
-    with row_progress(f"identifying {log.name}", len(log)) as advance:
-
-        def on_row() -> None:
-            advance()
-            if meter is not None:
-                meter()
-
-        return twin.run(log, on_row)
-
-
 def _combine(twins: Sequence[Twin], path: Path | None) -> None:
     """Print what runs say together of the boat, and write it as a prior."""
-    if not twins:
-        raise LogError(
-            f"{path}: not written, as every run has a fault of sensors or commands, or bad "
-            "forecasts; mend the logs, give other runs, or keep them with --with-faulty"
-        )
     if path is None and not isinstance(twins[0].predictor, ModelPredictor):
         console.print(f"{twins[0].name} has no model, and so identifies no parameters.")
         return

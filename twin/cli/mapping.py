@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -47,13 +46,10 @@ def mapping_command(
         raise OptionError(f"{path}: is there already; choose another --out, or --force")
     found = propose(log, dates, zone)
     if found.choices:
-        dates = _ask(found, "first?", "--dates", tuple(ORDERS))
-        found = propose(log, dates, zone)
+        raise _open_question(found, "first?", "--dates", tuple(ORDERS))
     if found.zone:
-        zone = _ask(
-            found, "of UTC?", "--zone", MEANINGS.get(found.zone, ("-05:00", "+09:30")), ZONE
-        )
-        found = propose(log, dates, zone)
+        meanings = MEANINGS.get(found.zone, ("-05:00", "+09:30"))
+        raise _open_question(found, "of UTC?", "--zone", meanings)
     write_text(path, found.text(log.name))
     Layout.load(path)  # what is written can be read
     console.print(path.read_text(encoding="utf-8"), highlight=False, soft_wrap=True, end="")
@@ -64,19 +60,9 @@ def mapping_command(
     console.print(f"mapping: {path}; try it with usv-twin check {log}", soft_wrap=True)
 
 
-def _is_interactive() -> bool:
-    """Return whether somebody can answer."""
-    return sys.stdin.isatty()
-
-
-def _ask(
-    found: Proposal, end: str, option: str, examples: tuple[str, ...], pattern: str = ""
-) -> str:
-    """Return the user's answer to the question that ends so."""
+def _open_question(
+    found: Proposal, end: str, option: str, examples: tuple[str, ...]
+) -> OptionError:
+    """Return the question that ends so as an error that names the option with the answer."""
     question = next(text for text in found.questions if text.endswith(end))
-    if not _is_interactive():
-        raise OptionError(f"{question} Say so with {option} {f' or {option} '.join(examples)}")
-    answer = ""
-    while not re.fullmatch(pattern or "|".join(examples), answer):
-        answer = typer.prompt(f"{question} ({' or '.join(examples)})").strip()
-    return answer
+    return OptionError(f"{question} Say so with {option} {f' or {option} '.join(examples)}")

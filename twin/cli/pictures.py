@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import math
-from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,10 +19,10 @@ from twin.benchmark.figures.style import (
     set_ticks,
     set_title,
 )
-from twin.benchmark.trust import FAR_SD, HORIZON_S, Verdict
+from twin.benchmark.trust import HORIZON_S, Verdict
 from twin.integrity.findings import SEVERITIES
 from twin.integrity.log_check import LogCheck
-from twin.integrity.rows import SENSORS, speed_of
+from twin.integrity.rows import speed_of
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, integrated, sampled
 
@@ -38,8 +37,8 @@ DRAWN_MAX = 1e7
 POINTS_MAX = 4000
 """Points of a curve at most."""
 
-PATHS_MAX, BARS_MAX = 40, 12
-"""Forecasts in the track, and parameters, at most."""
+PATHS_MAX = 40
+"""Forecasts in the track at most."""
 
 
 def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
@@ -50,7 +49,7 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
     check : LogCheck
         Of a log of two rows or more.
     verdict : Verdict, optional
-        On a twin of that log: four panels more.
+        On a twin of that log: three panels more.
     """
     recording = _drawable(check.recording)
     counts = {severity: check.count(severity) for severity in SEVERITIES}
@@ -61,30 +60,32 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         (line(ORANGE), "compass, velocity; right unit"),
         (line(GREEN), "gyro; steering angle"),
     ]
-    mosaic = [["track", "samples"], ["track", "speed"], ["agreed", "turn"], ["commands", "heading"]]
-    size = (11.0, 9.0)
+    mosaic = [
+        ["track", "samples"],
+        ["track", "speed"],
+        ["commands", "turn"],
+        ["commands", "heading"],
+    ]
+    size = (11.0, 7.0)
     if verdict is not None:
         about = f"{about}; {verdict.predictor}: {verdict.grade} (" + ", ".join(
             f"{answer.about} {answer.grade}" for answer in verdict.answers
         )
         about += ")"
         entries += [(line(BLACK), "forecasts of the twin"), (line(ORANGE, DASHED), "persistence")]
-        mosaic += [["distance", "losses"], ["turned", "parameters"]]
-        size = (11.0, 13.0)
+        mosaic += [["distance", "losses"], ["turned", "losses"]]
+        size = (11.0, 11.0)
     fig, axes = new_figure(f"{recording.name}: check", about, entries, mosaic, size)
     _track(axes["track"], recording, verdict)
-    _samples(axes["samples"], recording)
     _speed(axes["speed"], recording)
     _turn(axes["turn"], recording)
     _heading(axes["heading"], recording)
-    _agreed(axes["agreed"], check.agreed)
     _commands(axes["commands"], recording)
     if verdict is not None:
         _errors(axes["distance"], verdict, 0, 1.0, "distance off, m")
         _errors(axes["turned"], verdict, 1, 180.0 / math.pi, "heading off, degrees")
         _losses(axes["losses"], verdict)
-        _parameters(axes["parameters"], verdict)
-    over_time = {"samples", "speed", "turn", "heading", "commands", "distance", "turned"}
+    over_time = {"speed", "turn", "heading", "commands", "distance", "turned"}
     for name in over_time & set(axes):
         axes[name].set_xlim(float(recording.t[0]), float(recording.t[-1]))
     buffer = io.BytesIO()
@@ -123,22 +124,6 @@ def _track(ax: Axes, recording: Recording, verdict: Verdict | None) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     set_ticks(ax, 5, 6, "east")
     ax.set_ylabel("north", fontsize=10)
-
-
-def _samples(ax: Axes, recording: Recording) -> None:
-    """Draw when each sensor has new samples; a gap is a white place."""
-    set_title(ax, "new samples of each sensor")
-    names = [name for name, columns in SENSORS.items() if len(recording.samples(*columns)[0])]
-    for row, name in enumerate(names):
-        at = recording.samples(*SENSORS[name])[0]
-        step = 4.0 * float(np.median(np.diff(at))) if len(at) > 1 else 1.0
-        breaks = np.flatnonzero(np.diff(at) > step)
-        start, end = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
-        spans = list(zip(start.tolist(), np.maximum(end - start, 0.05).tolist(), strict=True))
-        ax.broken_barh(spans, (row - 0.35, 0.7), color=BLUE, lw=0)
-    set_ticks(ax, 6, 6, None)
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.4, -0.6)
 
 
 def _speed(ax: Axes, recording: Recording) -> None:
@@ -182,19 +167,6 @@ def _heading(ax: Axes, recording: Recording) -> None:
     set_ticks(ax, 6, 4, "time, s")
 
 
-def _agreed(ax: Axes, agreed: dict[str, float]) -> None:
-    """Draw how well sensors and commands agree."""
-    if not agreed:
-        ax.set_axis_off()
-        return
-    set_title(ax, "signals agree, %, without the faults found")
-    names = list(agreed)
-    ax.barh(names, [100.0 * agreed[name] for name in names], color=BLUE, height=0.6)
-    ax.set_xlim(0.0, 100.0)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.tick_params(labelsize=8, length=0)
-
-
 def _commands(ax: Axes, recording: Recording) -> None:
     set_title(ax, "commands: shaft speeds, rev/s; angle, deg")
     for j, colour in ((0, BLUE), (1, ORANGE)):
@@ -225,24 +197,3 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
     ax.axhline(verdict.bound, color=ORANGE, lw=1.0, ls=DASHED)
     ax.set_ylim(0.0, 3.0 * verdict.bound)
     set_ticks(ax, 6, 4, "time without GPS, s")
-
-
-def _parameters(ax: Axes, verdict: Verdict) -> None:
-    """Draw the parameters that went furthest from the prior."""
-    prior = verdict.in_use if verdict.in_use and verdict.in_use.is_prior else None
-    set_title(ax, "best refit, not in use" if prior else "parameters farthest from prior")
-    empty = "" if verdict.deviations else "the predictor has no parameters"
-    if prior and prior.refit is None:
-        empty = f"in use: {prior.name}"
-    if empty:
-        ax.text(0.5, 0.5, fill(empty, 28), ha="center", va="center", transform=ax.transAxes)
-        ax.set_axis_off()
-        return
-    shown = dict(verdict.deviations[:BARS_MAX])
-    sizes = [min(size, 4.0 * FAR_SD) for size in shown.values()]
-    colours = [ORANGE if size > FAR_SD else BLUE for size in sizes]
-    ax.barh(range(len(shown)), sizes, color=colours)
-    ax.axvline(FAR_SD, color=BLACK, lw=1.0, ls=DASHED)
-    set_ticks(ax, 5, len(shown), "prior standard deviations")
-    ax.set_yticks(range(len(shown)), list(shown))
-    ax.set_ylim(len(shown) - 0.4, -0.6)

@@ -30,10 +30,6 @@ from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import twin_for_log
 
-LEARNING_MIN_S = 10.0
-"""A twin with a model has learned nothing of the boat from less data than this: the first refit
-comes after about as much."""
-
 
 def predict_command(
     log: LogArgument,
@@ -91,18 +87,12 @@ def predict_command(
     before = run.slice(-math.inf, math.nextafter(run.t[row], math.inf))
     with row_progress("identifying", row + 1) as advance:
         states = twin.run(before, advance)
-    print_health(twin)
+    print_health(twin.notes)
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
     if plan == "known":
         commands = known_plan(run, row, horizon, dt)
     prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
-    seen = float(run.t[row] - run.t[0])
-    if twin.predictor.parameter_names and seen < LEARNING_MIN_S:
-        note(
-            f"the twin has seen {seen:.1f} s of data: it had no time to learn the boat, and the "
-            "forecast rests on the prior"
-        )
     title = f"{run.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, plan {plan}"
     print_prediction(prediction, title, twin.sea)
     if out is not None and out.suffix == BAG_SUFFIX:

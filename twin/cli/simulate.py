@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from twin.benchmark.runner import gps_windows
 from twin.cli.common import (
     DofOption,
     FaultStartOption,
@@ -60,9 +59,10 @@ def simulate_command(
     sensors: SensorsOption = "typical",
     dof: DofOption = 3,
 ) -> None:
-    """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
-    from twin.benchmark.figures import picture_of_log
+    """Sail a manoeuvre in a sea state: a log, and the boat's particulars beside it.
 
+    usv-twin check LOG draws it.
+    """
     if out is not None and not out.name.endswith(LOG_SUFFIXES):
         raise OptionError(f"--out {out}: a log's name ends in {', '.join(LOG_SUFFIXES)}")
     boat = Vessel.load(vessel)
@@ -87,7 +87,6 @@ def simulate_command(
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
-    particulars, picture = sibling_path(path, ".toml"), sibling_path(path, ".png")
+    particulars = sibling_path(path, ".toml")
     write_text(particulars, particulars_of(boat, suite, dof).to_toml())
-    picture_of_log(log, picture, gps_windows(parsed))
-    console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")
+    console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from pathlib import Path
@@ -26,22 +25,15 @@ from twin.cli.common import (
     radians,
     write_text,
 )
-from twin.cli.link import (
-    ExternalOption,
-    MaxSdOption,
-    ResumeOption,
-    ViewOption,
-    ViewPortOption,
-    counted,
-    navigation_of,
-    say,
-)
+from twin.cli.link import MaxSdOption, counted, say
 from twin.digital_twin import Twin
+from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of, unmirrored
 from twin.logs.datum import Datum
 from twin.logs.log import Log, sibling_path
-from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
+from twin.particulars import Particulars
+from twin.predictors.registry import PREDICTORS, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from usv_gym.sitl.backend import Backend, port_of
 from usv_gym.sitl.parameters import autopilot_parameters, parameter_text
@@ -70,9 +62,7 @@ def sitl_command(
         str | None,
         typer.Option(help=f"Predictor of the twin ({', '.join(PREDICTORS)}). Default: no twin."),
     ] = None,
-    external: ExternalOption = "odometry",
     max_sd: MaxSdOption = 20.0,
-    resume: ResumeOption = False,
     mavlink: Annotated[
         str,
         typer.Option(
@@ -115,10 +105,8 @@ def sitl_command(
     ] = 0.0,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Log to write, with the truth; events beside it."),
+        typer.Option("--out", "-o", help="Log to write, with the truth."),
     ] = None,
-    view: ViewOption = False,
-    view_port: ViewPortOption = 8080,
 ) -> None:
     """Be the physics of ArduPilot: our ship and sea answer its JSON interface.
 
@@ -128,7 +116,6 @@ def sitl_command(
     boat = Vessel.load(vessel)
     if print_params:
         given = autopilot_parameters(boat, cruise, external=twin is not None)
-        given |= _for(external) if twin is not None else {}
         console.print(parameter_text(boat, given), end="", highlight=False, soft_wrap=True)
         return
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
@@ -142,16 +129,14 @@ def sitl_command(
         1, boat, state, suite=suite, faults=parsed, dof=6, dt=step, dt_physics=step
     )
     backend = Backend(simulation, seed, heading=math.radians(heading), moored=moored)
-    model = None
-    if view and duration:
-        raise OptionError("--duration ends a run without a page; with --view, Ctrl-C does")
-    if twin is not None or view:
-        model = _twin(boat, twin or DEFAULT, sensors)
-    navigation = navigation_of(external, max_sd, resume) if twin is not None else None
+    particulars = particulars_of(boat, suite, 6)
+    model, navigation = None, None
+    if twin is not None:
+        if predictor_class(twin).needs_simulator:
+            raise PredictorError(f"predictor {twin!r}: the sea is not known to an autopilot")
+        model = Twin(particulars, twin)
+        navigation = ExternalNavigation(say, max_sd_m=max_sd)
     latitude, longitude = _place(home)
-    logs = _Logs(out, boat, sensors)
-    if navigation is not None:
-        navigation.note = logs.event
     port = None
     if navigation is not None or parsed:
         port = MavlinkPort(mavlink, AutopilotPeer() if navigation is None else navigation.peer)
@@ -162,14 +147,11 @@ def sitl_command(
             twin=model,
             navigation=navigation,
             port=port,
-            on_log=logs.write,
+            on_log=_Logs(out, particulars).write,
         )
         _announce(server, address, home, mavlink if port is not None else None, instance)
         try:
-            if view and model is not None:
-                _show(server, run, model, out, view_port)
-            else:
-                _serve(server, duration)
+            _serve(server, duration)
         except KeyboardInterrupt:
             console.print("stopped")
         finally:
@@ -181,11 +163,6 @@ def sitl_command(
         console.print(f"MAVLink: {counted(port.counts)}", highlight=False)
 
 
-def _numbered(path: Path, number: int) -> Path:
-    """Return the name of one of several logs; the first has the name as given."""
-    return path if number == 0 else path.with_name(f"{path.stem}_{number + 1}{path.suffix}")
-
-
 def _place(text: str) -> tuple[float, float]:
     """Return latitude and longitude of ``LAT,LON``, degrees."""
     try:
@@ -193,20 +170,6 @@ def _place(text: str) -> tuple[float, float]:
     except ValueError:
         raise OptionError(f"--home {text}: write LAT,LON in degrees, as 59.9,10.7") from None
     return latitude, longitude
-
-
-def _for(external: str) -> dict[str, float]:
-    """Return what a kind of external navigation needs beyond the source sets."""
-    if external == "position":
-        return {"EK3_SRC2_VELXY": 0}
-    return {"GPS1_TYPE": 14} if external == "gps-input" else {}
-
-
-def _twin(boat: Vessel, predictor: str, sensors: str) -> Twin:
-    """Return the twin of a boat."""
-    if predictor_class(predictor).needs_simulator:
-        raise PredictorError(f"predictor {predictor!r}: the sea is not known to an autopilot")
-    return Twin(particulars_of(boat, suite_of(sensors), 6), predictor)
 
 
 def _announce(server: Server, address: str, home: str, mavlink: str | None, instance: int) -> None:
@@ -237,42 +200,21 @@ def _serve(server: Server, duration: float) -> None:
         console.print(f"{backend.t:.0f} s, {factor:.1f} times as fast as the clock")
 
 
-def _show(server: Server, run: AutopilotRun, twin: Twin, out: Path | None, port: int) -> None:
-    """Serve the page until Ctrl-C."""
-    from twin.cli.view import show_session
-    from twin.live.external.simulated import SitlSession
-    from twin.live.ui.access import Access
-
-    folder = Path() if out is None else out.parent
-    show_session(SitlSession(server, run, twin, folder), Access.of(LOOPBACK, (), None), port, False)
-
-
-@dataclasses.dataclass
 class _Logs:
-    """Logs and events of the runs, written as they end."""
+    """Writes the logs of the runs as they end, and the boat's particulars beside them."""
 
-    out: Path | None
-    vessel: Vessel
-    sensors: str
-    written: int = 0
-    events: list[tuple[float, str]] = dataclasses.field(default_factory=list)
-
-    def event(self, t: float, text: str) -> None:
-        """Print and keep an event."""
-        say(t, text)
-        self.events.append((t, text))
+    def __init__(self, out: Path | None, particulars: Particulars) -> None:
+        self.out, self.particulars, self.written = out, particulars, 0
 
     def write(self, log: Log) -> None:
-        """Write a log, the boat's particulars and the events."""
-        events, self.events = self.events, []
+        """Write a log; the first has the name as given, others a number behind it."""
         if self.out is None:
             return
-        path = _numbered(self.out, self.written)
         self.written += 1
+        path = self.out
+        if self.written > 1:
+            path = path.with_name(f"{path.stem}_{self.written}{path.suffix}")
         path.parent.mkdir(parents=True, exist_ok=True)
         log.write(path)
-        boat = particulars_of(self.vessel, suite_of(self.sensors), 6)
-        write_text(sibling_path(path, ".toml"), boat.to_toml())
-        lines = "".join(f'{t:.2f},"{text}"\n' for t, text in events)
-        write_text(sibling_path(path, ".events.csv"), "t_s,event\n" + lines)
+        write_text(sibling_path(path, ".toml"), self.particulars.to_toml())
         console.print(f"{len(log)} rows: {path}", highlight=False, soft_wrap=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from rich.table import Table
 
 from twin.agents.evaluation import mean_scores
 from twin.agents.training import Plan, Run
-from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.boat_prior import BoatPrior
@@ -29,11 +27,9 @@ __all__ = [
     "print_check",
     "print_episodes",
     "print_estimate",
-    "print_forecasts",
     "print_health",
     "print_prediction",
     "print_prior",
-    "print_results",
     "print_scores",
     "print_trainings",
     "print_verdict",
@@ -55,33 +51,9 @@ SHOWN_AFTER_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 HEALTH_LINES = 12
 """So many lines on sensors are printed at most."""
 
-RATIO_ABOVE_ONE = 1.005
-"""Ratios of standard deviations from which on a table shows more than 1.00."""
-
 STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim", BAD: "red", DOUBTFUL: "yellow", OK: "green"}
 
 Row = Mapping[str, Any]
-
-SUMMARY_NAMES = ("scenario", "case", "plan", "predictor")
-"""What tells the lines of a summary apart."""
-
-LEGEND = {
-    r"[XYN]_": ("X, Y, N", "terms of the acceleration forward, to starboard, in yaw"),
-    r"[XYN]_[uvr|]+$": ("u, v, r", "surge speed, sway speed, yaw rate, and products of them"),
-    r"E_": ("E", "slow acceleration to north and to east, of wind and current"),
-    r"[XYN]_nn$": ("nn", "thrust at rest: mean n|n| of the shafts, n the shaft speed"),
-    r"[XYN]_nu$": ("nu", "change of thrust with speed: mean |n| u of the shafts"),
-    r"T_": ("T_uL, T_uR ...", "thrust n|n| of the left, right shaft in surge, sway, yaw"),
-    r"[XN]_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
-    r"N_mn$": ("mn", "turning by the mean thrust: the thrusters are unequal"),
-    r"[XYN]_F$": ("F", "drag and lift of rudders or drives in the flow at the stern"),
-    r"[XYN]_S$": ("S", "force of flow from the side on rudders or drives"),
-    r"[XYN]_w$": ("w", "apparent wind, its speed squared"),
-    r"N_0$": ("0", "constant yaw acceleration"),
-    r"N_(cos|sin)$": ("cos, sin", "yaw acceleration that turns with the heading"),
-    r"N_(cos|sin)2$": ("cos2, sin2", "the same, with twice the heading"),
-}
-"""What names of parameters mean: pattern, what is printed for it, and its meaning."""
 
 
 def short(value: float | None, digits: int) -> str:
@@ -113,12 +85,8 @@ def _plain(text: str, style: str | None = None) -> None:
 
 
 # what twin and log say
-def print_health(twin: Twin) -> None:
-    """Print when which sensor was not ok, and why."""
-    _print_notes(twin.notes)
-
-
-def _print_notes(lines: Sequence[str]) -> None:
+def print_health(lines: Sequence[str]) -> None:
+    """Print the notes of a twin: when which sensor was not ok, and why."""
     for line in lines[:HEALTH_LINES]:
         note(line)
     if len(lines) > HEALTH_LINES:
@@ -152,7 +120,7 @@ def print_check(check: LogCheck) -> None:
 
 def print_verdict(verdict: Verdict) -> None:
     """Print whether a twin may be trusted."""
-    _print_notes(verdict.notes)
+    print_health(verdict.notes)
     console.print()
     title = f"twin of {verdict.boat} by {verdict.predictor}: {verdict.grade}"
     _plain(title, STYLES[verdict.grade])
@@ -213,17 +181,18 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     heads = ("", "unit", "prior", "sd", "now", "sd", "ratio", "source")
     table = new_table(title, *heads, left=("", "unit", "source"))
     found = {} if seen is None else {item.name: item for item in seen.parameters}
-    ratios = []
     for i, name in enumerate(twin.predictor.parameter_names):
         ratio = last.params_sd[i] / prior.params_sd[i] if prior.params_sd[i] > 0 else math.nan
         numbers = (prior.params[i], prior.params_sd[i], last.params[i], last.params_sd[i])
-        ratios.append(ratio)
         source = _source(found[name]) if name in found else ""
         unit = twin.predictor.parameter_units[i]
         table.add_row(name, unit, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
     console.print(table)
     if getattr(twin.predictor, "ukf", None) is not None:  # else they have names of their own
-        _print_legend(twin.predictor.parameter_names)
+        explain(
+            "X, Y, N: terms of the acceleration forward, to starboard, in yaw; N_v|v| times v|v| "
+            "is a yaw acceleration. All names: docs/explanation/twin.md, Model structure."
+        )
     explain(
         "ratio: sd over that of the prior. source data: it fell to 0.71 or below, and the "
         "parameter's own regressor was excited. source sum: its regressor was collinear with "
@@ -231,26 +200,8 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     )
     if in_use is not None and in_use.is_prior:
         explain("The prior is in use: the values are not from the data, only the sd of a refit.")
-    if any(ratio > RATIO_ABOVE_ONE for ratio in ratios):
-        explain(
-            "ratio above 1: the parameter is less certain than at the start. The filter lets it "
-            "drift, or a change of the boat was found, and the data do not confine it since."
-        )
     if seen is not None:
         _print_identifiability(seen)
-
-
-def _print_legend(names: Sequence[str]) -> None:
-    """Print what the names of a model's parameters mean, as far as they occur."""
-    table = new_table("what the names mean", "", "", left=("",), show_header=False)
-    table.columns[-1].no_wrap = False
-    for pattern, (name, meaning) in LEGEND.items():
-        if any(re.match(pattern, one) for one in names):
-            table.add_row(name, meaning)
-    console.print(table)
-    explain(
-        "N_v|v| times v|v| is a yaw acceleration. See docs/explanation/twin.md, Model structure."
-    )
 
 
 def _source(finding: Finding) -> str:
@@ -261,7 +212,7 @@ def _source(finding: Finding) -> str:
 
 
 def _print_identifiability(seen: Identifiability) -> None:
-    """Print the sums of collinear parameters, and the rank of the sub-models."""
+    """Print the sums of collinear parameters, and what the run did not show."""
     if seen.sums:
         _print_rows(
             "sums of collinear parameters",
@@ -275,21 +226,6 @@ def _print_identifiability(seen: Identifiability) -> None:
             },
             left=("", "source"),
         )
-    _print_rows(
-        f"identifiability on {seen.seconds:.0f} s of data",
-        seen.submodels,  # type: ignore[arg-type]
-        {
-            "sub-model": lambda model: model.name,
-            "parameters": lambda model: str(len(model.parameters)),
-            "effective rank": lambda model: f"{model.effective_rank:.1f}",
-            "condition number": lambda model: model.condition,
-        },
-        left=("sub-model",),
-    )
-    explain(
-        "effective rank: directions determined by the data and not by the prior. condition "
-        "number: of the regressors in prior standard deviations."
-    )
     for model in seen.submodels:
         if model.not_shown:
             shown = "; ".join(model.not_shown)
@@ -458,88 +394,6 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
         )
 
 
-def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
-    """Print all tables of ``results.json``.
-
-    Parameters
-    ----------
-    results : dict
-        Content of ``results.json``.
-    missing : sequence of str
-        Predictors that could not run here.
-    """
-    lines: dict[tuple[str, ...], dict[str, Any]] = {}
-    for item in results["summary"]:
-        case = item.get("case", item["fault"])
-        key = (item["scenario"], case, item["plan"], item["predictor"])
-        row = lines.setdefault(key, dict(zip(SUMMARY_NAMES, key, strict=True)))
-        row[item["metric"]] = item["value"]
-        if item["metric"] == "mae" and item["low"] is not None:
-            row["MAE 95 %"] = f"{short(item['low'], 2)}..{short(item['high'], 2)}"
-    for scenario, case, plan in dict.fromkeys(key[:3] for key in lines):
-        block = [row for key, row in lines.items() if key[:3] == (scenario, case, plan)]
-        block += [{"predictor": name, "MAE 95 %": "left out"} for name in missing]
-        shown = [{k: v for k, v in row.items() if k not in SUMMARY_NAMES[:3]} for row in block]
-        print_rows(f"{scenario}, case {case}, plan {plan}", shown)
-    explain(
-        "Metrics as in the docstring of twin.benchmark.metrics: mae and mse pooled over u, v, r, "
-        "position and heading at 1, 2, 5 and 10 s, units mixed, as in the paper's Table 4; crps: "
-        "the same of the whole distribution; normalised and skill: means over channels and "
-        "horizons; J: mae over that of the oracle, E = J - 1; start_error: m; coverage90: share "
-        "inside the 90 % intervals."
-    )
-    print_rows("change of the MAE against a reference on the same seeds", results.get("paired"))
-    print_rows("recorded runs: RMSE after 10 s", results.get("recorded"))
-    print_rows("position at the end of a loss of GPS, m", results.get("losses"))
-    scores = shown_motion(results)
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for score in scores["motion"]:
-        key = tuple(score[name] for name in ("scenario", "plan", "channel", "horizon_s"))
-        groups.setdefault(key, []).append(score)
-    print_rows(
-        "forecasts of roll, pitch and heave, medians over seeds, SI units",
-        [
-            {"scenario": scenario, "plan": plan, "channel": channel, "after s": horizon}
-            | median_scores(rows, horizon)
-            for (scenario, plan, channel, horizon), rows in groups.items()
-        ],
-    )
-    print_rows("probability of a quiet deck", scores["quiet"])
-
-
-def print_rows(title: str, rows: Sequence[Row] | None) -> None:
-    """Print rows of results as they are: a column for each key with numbers or words.
-
-    What is the same in all rows stands in the title.
-    """
-    if not rows:
-        return
-    keys = [
-        k
-        for k in dict.fromkeys(key for row in rows for key in row)
-        if not any(isinstance(row.get(k), list | dict) for row in rows)
-    ]
-    same = {k: rows[0].get(k) for k in keys if len({row.get(k) for row in rows}) == 1}
-    keys = [k for k in keys if k not in same or len(rows) == 1]
-    words = {k for k in keys if any(isinstance(row.get(k), str) for row in rows)}
-    about = ", ".join(f"{k} {v}" for k, v in same.items() if v not in (None, "", title))
-    heads = {k: k.replace("_", "\n") for k in keys}
-    table = new_table(
-        f"{title}: {about}" if about else title,
-        *heads.values(),
-        left={heads[k] for k in words},
-        padding=0,
-    )
-    for row in rows:
-        table.add_row(*(_cell(row.get(k)) for k in keys))
-    console.print(table)
-
-
-def _cell(value: Any) -> str:
-    """Return the text of a number or word; a dash for none."""
-    return short(value, 3) if value is None or isinstance(value, float) else str(value)
-
-
 EPISODES_MIN = 3
 """Fewer episodes have no interval."""
 
@@ -548,11 +402,6 @@ REPLICATES = 2000
 
 PLACES = {"": "all", "_loss": "lost"}
 """Where forecasts are graded: with all sensors, or while some are lost."""
-
-PLANS = {"known": "that came", "held": "held"}
-"""Commands that forecasts go by."""
-
-AHEAD_S = (1, 2, 5, 10)
 
 Rows = Sequence[dict[str, Any]]
 
@@ -602,35 +451,6 @@ def print_episodes(found: Rows) -> None:
             f"{np.mean([row['return'] for row in rows]):.0f}",
             forecast_error(rows),
         )
-    console.print(table)
-
-
-def print_forecasts(found: Rows) -> None:
-    """Print how good the twin's forecasts were on the episodes of each agent."""
-    heads = ("agent", "sensors", "commands", "ahead", "m", "deg", "m/s", "in 90 %", "n")
-    title = (
-        f"forecasts of {found[0]['twin']} on the same episodes: mean errors of displacement, "
-        "heading and speed, and shares of them in the 90 % intervals"
-    )
-    table = new_table(title, *heads, left=heads[:3])
-    for model, label in short_names([row["model"] for row in found]).items():
-        scores = mean_scores([row["twin_forecast"] for row in found if row["model"] == model])
-        for place, sensors in PLACES.items():
-            for plan, commands in PLANS.items() if scores[f"n{place}"] else ():
-                for ahead in AHEAD_S:
-                    stem = f"{plan}{place}_{ahead}s"
-                    shares = [
-                        scores.get(f"{stem}_{channel}_coverage90")
-                        for channel in ("displacement", "heading", "speed")
-                    ]
-                    table.add_row(
-                        *(label, sensors, commands, f"{ahead} s"),
-                        f"{scores[f'{stem}_displacement_m']:.2f}",
-                        f"{math.degrees(scores[f'{stem}_heading_rad']):.1f}",
-                        f"{scores[f'{stem}_speed_mps']:.2f}",
-                        " ".join("-" if one is None else f"{100 * one:.0f}" for one in shares),
-                        f"{scores[f'n{place}']:.0f}",
-                    )
     console.print(table)
 
 

@@ -23,16 +23,9 @@ from twin.cli.common import (
     stopped,
 )
 from twin.cli.tables import print_trainings
-from twin.sim.oracle import check_options_of
+from twin.predictors.registry import predictor_class
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS
-
-KEPT = "everything up to the last checkpoints is kept in {}; the same command continues from there"
-"""Printed after Ctrl-C."""
-
-
-UPDATES_MIN = 8
-"""Trainings with fewer updates are warned of."""
 
 BREAKS = 6
 """A short training is evaluated so often, at least."""
@@ -88,17 +81,6 @@ def train_command(
         list[str] | None,
         typer.Option(help="Weight of a term of the reward: cross_track=3; may be repeated."),
     ] = None,
-    init: Annotated[
-        Path | None,
-        typer.Option(help="Start from the weights of this policy (.npz, or a run's folder)."),
-    ] = None,
-    callback: Annotated[
-        str,
-        typer.Option(
-            help="module:function that Stable-Baselines3 calls in each step with its local and "
-            "global variables; False ends the training. Or module:Class of a BaseCallback."
-        ),
-    ] = "",
     num_threads: Annotated[
         int, typer.Option(min=1, help="Threads that share the boats; they change no result.")
     ] = 1,
@@ -119,7 +101,7 @@ def train_command(
     """
     values = hyperparameters(algo, hyper)
     steps = steps or values["n_timesteps"]
-    check_options_of(twin, vessel)
+    predictor_class(twin)
     if obs is not None and entries is not None:
         raise OptionError("--obs and --entries: give one of them")
     seen = parse_list(entries, "--entries") if entries is not None else obs
@@ -135,18 +117,10 @@ def train_command(
         vessel_spread=vessel_spread,
         world=parse_world(wind_from, current),
         reward_weights=parse_weights(reward_weight or []),
-        init="" if init is None else str(init),
         every=min(EVERY, -(-steps // BREAKS)),
     )
-    rollout = values["n_envs"] * values.get("n_steps", 0)
-    if steps < UPDATES_MIN * rollout:
-        console.print(
-            f"note: an update comes after {rollout} decisions, and the learning rate falls to 0 at "
-            f"the last: {steps} teach little, --steps {UPDATES_MIN * rollout} more",
-            highlight=False,
-        )
     plans = [dataclasses.replace(first, seed=seed) for seed in parse_seeds(seeds)]
-    how = {"hyper": values, "num_threads": num_threads, "callback": callback}
+    how = {"hyper": values, "num_threads": num_threads}
     trained = []
     try:
         for plan, run in train_all(
@@ -155,7 +129,10 @@ def train_command(
             trained.append((plan, run))
             console.print(f"{run.folder}: trained", highlight=False)
     except KeyboardInterrupt:
-        raise stopped(KEPT.format(out)) from None
+        raise stopped(
+            f"everything up to the last checkpoints is kept in {out}; the same command continues "
+            "from there"
+        ) from None
     print_trainings(trained)
     console.print(f"next: usv-twin evaluate {out}", highlight=False, soft_wrap=True)
 

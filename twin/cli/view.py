@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import signal
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +15,7 @@ from twin.cli.common import (
     FaultStartOption,
     HsOption,
     MappingOption,
+    OptionError,
     PredictorOption,
     SeaOption,
     SensorsOption,
@@ -30,7 +30,7 @@ from twin.cli.common import (
 from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.nmea import NmeaFeed, NmeaReply
 from twin.live.protocols.sockets import needed
 from twin.logs.errors import LogError
 from twin.logs.log import Log
@@ -39,7 +39,7 @@ from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
-from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.schedule import changing_sea
@@ -74,10 +74,7 @@ def view_command(
     ] = None,
     reply: Annotated[
         str | None,
-        typer.Option(
-            help="Address for the twin's estimate and prediction: udp://HOST:PORT. Default: the "
-            "sender's."
-        ),
+        typer.Option(help="Address to send the twin's estimate to as NMEA 0183: udp://HOST:PORT."),
     ] = None,
     vessel: Annotated[
         str | None,
@@ -107,9 +104,9 @@ def view_command(
     shaft_max: ShaftMaxOption = None,
     steer_max: SteerMaxOption = None,
     autopilot: Annotated[
-        str, typer.Option(help=f"off, {', '.join(MANOEUVRES)}, or path.")
+        str, typer.Option(help=f"Who steers a simulated boat: off, {', '.join(MANOEUVRES)}.")
     ] = "turn",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of sea, sensors and path.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
     speed: Annotated[
         float, typer.Option(min=0.1, max=10.0, help="Simulated seconds per second.")
     ] = 1.0,
@@ -131,18 +128,9 @@ def view_command(
             "new one.",
         ),
     ] = None,
-    allow_origin: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Further origin that may connect, as http://boat.local:8080; may be repeated."
-        ),
-    ] = None,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
     ] = 8080,
-    browser: Annotated[
-        bool, typer.Option("--open", help="Open it in this machine's browser.")
-    ] = False,
 ) -> None:
     """Show a boat and its twin in the browser, live and in three dimensions.
 
@@ -150,28 +138,30 @@ def view_command(
     Ctrl-C ends it; a log that is being recorded is written then.
     """
     needed("viser")  # before anything is compiled
-    from twin.live.sessions.autopilot import AUTOPILOTS
     from twin.live.sessions.feed import FeedSession
     from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
     from twin.live.ui.access import Access, check_host
 
     check_host(host)
-    access = Access.of(host, allow_origin or (), token)
+    access = Access.of(host, token)
     sources = ("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink), ("--policy", policy)
     given = [name for name, one in sources if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
+    if reply is not None and nmea is None:
+        raise OptionError("--reply goes with --nmea; usv-twin link sends to an autopilot")
     session: Session
     if log is not None:
         session = _log_session(log, mapping, vessel, predictor, plan, out)
     elif nmea is not None or mavlink is not None:
         twin, shown = feed_twin(vessel, predictor)
         if nmea is not None:
-            feed: Feed = NmeaFeed(nmea, twin.particulars, reply)
+            feed: Feed = NmeaFeed(nmea, twin.particulars)
         else:
             servos = Servos.of(twin.particulars, shaft_max, radians(steer_max))
-            feed = MavlinkFeed(str(mavlink), twin.particulars, reply, servos=servos)
-        session = FeedSession(feed, twin, shown, out)
+            feed = MavlinkFeed(str(mavlink), twin.particulars, servos=servos)
+        answer = None if reply is None else NmeaReply(reply)
+        session = FeedSession(feed, twin, shown, out, answer)
     elif policy is not None:
         options = {"sea": changing_sea(SeaState.named(sea), hs, wind, wind_from)}
         losses = parse_faults(faults, fault_start)
@@ -179,10 +169,6 @@ def view_command(
         session = _policy_session(policy, out, vessel, **options, **own)
     else:
         boat = Vessel.load(vessel or "usv75")
-        if autopilot not in AUTOPILOTS:
-            raise ManoeuvreError(
-                f"no autopilot is called {autopilot!r}; known: {', '.join(AUTOPILOTS)}"
-            )
         setup = SimulationSetup(
             vessel=boat,
             sea=changing_sea(SeaState.named(sea), hs, wind, wind_from),
@@ -196,7 +182,7 @@ def view_command(
         for line in session.notes:
             note(line)
     session.set_scale(speed)
-    show_session(session, access, port, browser)
+    show_session(session, access, port)
 
 
 def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
@@ -212,7 +198,7 @@ def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) ->
     return PolicySession(agent, out, **trained_with([agent], given), **options)
 
 
-def show_session(session: Session, access: Access, port: int, browser: bool) -> None:
+def show_session(session: Session, access: Access, port: int) -> None:
     """Serve a session until Ctrl-C, or until it ends."""
     from twin.live.ui.access import is_loopback
     from twin.live.ui.viewer import Viewer
@@ -227,13 +213,12 @@ def show_session(session: Session, access: Access, port: int, browser: bool) -> 
         if not is_loopback(access.host):
             note(
                 f"{access.host} is open to other machines, without encryption: whoever has the "
-                f"token can see this boat, {session.offers}"
+                "token can see this boat, use the controls of its page, and record logs to the "
+                "folder of --out"
             )
             if "localhost" in viewer.url:
                 note("on another machine, put the address of this one for localhost")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False, soft_wrap=True)
-        if browser:
-            webbrowser.open(viewer.url)
         viewer.serve()
     except KeyboardInterrupt:
         console.print("stopped")

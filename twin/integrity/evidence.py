@@ -1,12 +1,12 @@
 """What the sensors and commands of a log say of each other: one likelihood for all comparisons.
 
 All sensors are brought to an even grid. A comparison gives two signals that are equal where sensors
-and commands are sound: the way of the fixes and the integrated velocity, turns of compass and gyro,
-the velocity over ground and that along the heading, its changes and the integrated accelerometers
-turned into the earth's axes, changes of yaw rate and speed and what the commands make of them. The
-squares that are left between them, over those of both, are ``rho``: 0 for equal signals, about 1
-for strangers, 2 for opposite ones. With n independent samples, the log-likelihood is
-``-n/2 log rho``, whatever the units, so those of several comparisons add up.
+and commands are sound: positions and integrated velocity, angles and integrated gyros, velocity and
+integrated accelerometers in the earth's axes, the velocity over ground and that along the heading,
+changes of yaw rate and speed and what the commands make of them. The squares that are left between
+them, over those of both, are ``rho``: 0 for equal signals, about 1 for strangers, 2 for opposite
+ones. With n independent samples, the log-likelihood is ``-n/2 log rho``, whatever the units, so
+those of several comparisons add up.
 
 Sources: Fossen 2021, Sec. 14.2 (strapdown equations); Bayley and Hammersley 1946 (effective number
 of correlated samples); Huber 1964 (bounded influence).
@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, HUGE, MANY, SENSORS, VELOCITY
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, averaged, integrated, ways
 from twin.particulars import GRAVITY, Instruments
@@ -31,115 +33,92 @@ from usv_kernel.scalar import rotation
 
 __all__ = [
     "BY_COMMANDS",
+    "FLOOR",
+    "RAW_HEADING",
     "Comparison",
+    "Evidence",
     "Signals",
-    "compare",
+    "angle_rates",
     "gain",
+    "level_forces",
     "log_likelihood",
     "signals_of",
-    "touched",
 ]
 
 Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+Pair = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 
-STEP_S, POINTS = 0.1, 20_000
+GRID_S, GRID_POINTS = 0.1, 20_000
 """Step of the grid, s, and its most points: of longer logs it is coarser."""
 
 FLOOR = 0.002
 """No two sensors agree better: squares that are left over the squares of both."""
 
-BIAS = 0.01
-"""A gyro's zero is off by less, rad/s."""
+GYRO_ZERO_RADPS = 0.01
+"""The zero of a gyro is off by less."""
 
-CURRENT, DRIFT = 0.3, 0.5
-"""A current is about this share of the speed; in its quickest turns a hull drifts by this, rad."""
+CURRENT_SHARE, DRIFT_RAD = 0.3, 0.5
+"""A current is about this share of the speed; in its quickest turns a hull drifts by this."""
 
 SLOW_S = 6.0
-"""Motion that is slower is heel, trim, drift of sensors and current, s."""
+"""Motion that is slower is heel, trim, drift of sensors and current."""
 
-WEIGHED_S = 5.0
-"""Gravity is the mean over so long."""
+TILT_RAD = math.radians(2.0)
+"""A boat heels and trims by about so much in the mean, where no AHRS shows it."""
 
-TILT = math.radians(2.0), math.radians(1.0)
-"""A boat heels and trims by about the first in the mean, rad; an AHRS is off by the second."""
+STILL = 0.02
+"""Commands that change by a smaller share of their size tell nothing."""
 
-ARC, SLOW = 1.5, 0.2
-"""Over a larger turn a way tells no direction, rad; nor below this share of the largest speed."""
+ARC_RAD, SLOW_SHARE = 1.5, 0.2
+"""Over a larger turn a way tells no direction; nor below this share of the largest speed."""
 
-HORIZONS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Times over which a command changes the motion, s; the one that explains most counts."""
+HORIZONS_S = tuple(2.0**k for k in range(6))
+"""Times over which a command changes the motion; the one that explains most counts."""
 
-ANSWERS, ANSWERS_BOTH = 0.4, 0.15
-"""A command of which heading and yaw rate explain this share, and each a part of its standard
-deviation, holds a course: it answers the waves."""
+RAW_HEADING = "compass_raw"
+"""A column beside those of a log: the heading as the file has it, never unwrapped or averaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Sensors and commands of a log at even steps; NaN where there is nothing.
-
-    Positions, velocities and horizontal forces are complex: north and east, ahead and starboard.
-    """
+    """Columns of a log at common times; NaN where there is nothing."""
 
     t: Array
-    fix: Complex
-    velocity: Complex
-    heading: Array
-    raw_heading: Array  # as the file has it, the nearest sample
-    gyros: Array  # (N, 3)
-    forces: Array  # (N, 3)
-    angles: Array  # (N, 2) roll and pitch of an AHRS
-    height: Array
-    climb: Array
-    shafts: Array  # (N, 2)
-    steering: Array  # (N, 2)
-    intervals: dict[str, float]  # between samples, s
+    columns: Mapping[str, Array]
+    intervals: Mapping[str, float] = field(default_factory=dict)  # between samples of a column, s
     way_s: float = 2.0  # over which the way of the fixes is several times their noise
     horizon_s: float = 0.0  # over which commands explain the turning best; 0: not at all
     latency: float = 0.0  # of the GPS, which is taken out, s
-    whole: bool = False  # rows of a log: delays are whole steps
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
 
     @property
     def step(self) -> float:
         """Of the grid, s."""
-        return float(np.median(np.diff(self.t[:1000]))) if self.whole else self.t[1] - self.t[0]
+        return float(self.t[1] - self.t[0])
 
     def has(self, *names: str) -> bool:
-        """Return whether signals are there, enough to compare."""
-        sides = (getattr(self, name).reshape(len(self.t), -1)[:, -1] for name in names)
-        return all(len(side) - np.count_nonzero(np.isnan(side)) > 5 * ENOUGH for side in sides)
+        """Return whether columns are there, with enough samples to compare."""
+        return all(np.isfinite(self[name]).sum() >= MANY for name in names)
 
-    def late(self, seconds: float, *names: str) -> Signals:
-        """Return them with signals as if taken so many seconds later: what undoes a delay."""
-        changed = {}
-        for name in names:
-            values = getattr(self, name)
-            if self.whole:
-                steps = round(seconds / self.step)
-                changed[name] = np.roll(values, -steps, axis=0)
-                continue
-            flat = values.reshape(len(values), -1)
-            at = self.t + seconds
-            parts = [np.interp(at, self.t, column) for column in flat.T]
-            moved = np.column_stack(parts).reshape(values.shape)
-            moved[(at < self.t[0]) | (at > self.t[-1])] = np.nan
-            changed[name] = moved
-        return dataclasses.replace(self, **changed)
+    def stacked(self, *names: str) -> Array:
+        """Return columns, shape (k, N)."""
+        return np.array([self[name] for name in names])
 
+    def level(self, pair: tuple[str, str]) -> npt.NDArray[np.complex128]:
+        """Return two columns as one complex number: north and east, ahead and starboard."""
+        return self[pair[0]] + 1j * self[pair[1]]
 
-_COLUMNS = {
-    "fix": ("gps_x_m", "gps_y_m"),
-    "velocity": ("gps_vx_mps", "gps_vy_mps"),
-    "heading": ("compass_rad",),
-    "yaw": ("gyro_radps",),
-    "tilting": ("gyro_x_radps", "gyro_y_radps"),
-    "push": ("accel_x_mps2", "accel_y_mps2"),
-    "lift": ("accel_z_mps2",),
-    "angles": ("ahrs_roll_rad", "ahrs_pitch_rad"),
-    "height": ("gps_z_m",),
-    "climb": ("gps_vz_mps",),
-}
+    def having(self, names: tuple[str, ...], values: Array) -> Signals:
+        """Return signals with other values (k, N) of some columns."""
+        changed = dict(zip(names, values, strict=True))
+        return dataclasses.replace(self, columns={**self.columns, **changed})
+
+    def width(self, least: float, samples: float, *names: str) -> int:
+        """Return so many seconds, or samples of the slowest of some columns, in steps."""
+        slowest = max(self.intervals.get(name, 0.0) for name in names)
+        return max(round(max(least, samples * slowest) / self.step), 2)
 
 
 def signals_of(recording: Recording, instruments: Instruments | None = None) -> Signals | None:
@@ -152,74 +131,56 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
     instruments : Instruments, optional
         Their stated latency and mounting are taken out.
     """
-    if len(recording.t) < 3 * ENOUGH:
+    t = recording.t
+    if len(t) < MANY:
         return None
-    samples = {name: recording.samples(*columns) for name, columns in _COLUMNS.items()}
-    rows = float(np.median(np.diff(recording.t)))
-    intervals = {
-        name: float(np.median(np.diff(t))) for name, (t, _) in samples.items() if len(t) > ENOUGH
-    }
-    span = float(recording.t[-1] - recording.t[0])
-    step = max(STEP_S, rows, span / POINTS)
-    grid = np.arange(recording.t[0], recording.t[-1], step)
-    if len(grid) < 3 * ENOUGH:
-        return None
-    even: dict[str, Array] = {}
-    for name, (t, given) in samples.items():
-        values = np.unwrap(given, axis=0) if name == "heading" else given
-        if len(t) > ENOUGH:
-            even[name] = averaged(t, values, grid, step)
-        else:
-            even[name] = np.full((len(grid), values.shape[1]), np.nan)
-    cmd = np.nan_to_num(recording.cmd)
-    held = cmd[(np.searchsorted(recording.t, grid, "right") - 1).clip(0)]
-    if step > 2.0 * rows:
-        means = averaged(recording.t, cmd, grid, step)
-        held = np.where(np.isfinite(means), means, held)
-    gyros = np.column_stack([even["tilting"], even["yaw"]])
-    forces = np.column_stack([even["push"], even["lift"]])
-    if not np.isfinite(gyros[:, :2]).any():
-        gyros[:, :2] = 0.0
-    if not np.isfinite(forces[:, 2]).any():
-        forces[:, 2] = -GRAVITY
     stated = instruments or Instruments()
+    rows = float(np.median(np.diff(t)))
+    step = max(GRID_S, rows, float(t[-1] - t[0]) / GRID_POINTS)
+    grid = np.arange(t[0], t[-1], step)
+    if len(grid) < MANY:
+        return None
+    last = (np.searchsorted(t, grid, "right") - 1).clip(0)
+    columns, intervals = dict[str, Array](), dict[str, float]()
+    way_s = 2.0
+    for j, name in enumerate(COMMANDS):
+        given = np.nan_to_num(recording.cmd[:, j])
+        means = averaged(t, given, grid, step) if step > 2.0 * rows else given[last]
+        columns[name] = np.where(np.isfinite(means), means, given[last])
+    for name in MEASUREMENTS:
+        columns[name] = np.full(len(grid), math.nan)
+    columns[RAW_HEADING] = columns["compass_rad"]
+    for names in SENSORS.values():
+        at, values = recording.samples(*names)
+        if len(at) <= ENOUGH:
+            continue
+        intervals |= dict.fromkeys(names, float(np.median(np.diff(at))))
+        late = stated.gps_latency if names in (FIX, VELOCITY) else 0.0
+        if names == ("compass_rad",):
+            raw = values[(np.searchsorted(at, grid, "right") - 1).clip(0), 0]
+            values = np.unwrap(values, axis=0)
+        even = averaged(at - late, values, grid, step)
+        columns |= dict(zip(names, even.T, strict=True))
+        if names == ("compass_rad",):
+            columns[RAW_HEADING] = np.where(np.isfinite(even[:, 0]), raw, math.nan)
+        if names == FIX:
+            way_s = ways(at, values)[2]
+    signals = Signals(grid, columns, intervals, way_s, latency=stated.gps_latency)
     if stated.imu_mounting != (0.0, 0.0, 0.0):
-        turn = np.array(rotation(stated.imu_mounting))
-        gyros, forces = gyros @ turn.T, forces @ turn.T
-    t_fix, fix = samples["fix"]
-    signals = Signals(
-        grid,
-        _complex(even["fix"]),
-        _complex(even["velocity"]),
-        even["heading"][:, 0],
-        _nearest(*samples["heading"], grid, even["heading"][:, 0]),
-        gyros,
-        forces,
-        even["angles"],
-        even["height"][:, 0],
-        even["climb"][:, 0],
-        held[:, :2],
-        held[:, 2:],
-        intervals,
-        ways(t_fix, fix)[2] if len(t_fix) > ENOUGH else 2.0,
-        latency=stated.gps_latency,
-    )
-    signals = signals.late(stated.gps_latency, "fix", "velocity")
-    shares = {horizon: _share(*_turns_by(signals, horizon)) for horizon in HORIZONS_S}
-    best = max(shares, key=lambda horizon: shares[horizon])
-    return dataclasses.replace(signals, horizon_s=best if shares[best] > 0.0 else 0.0)
+        signals = _mounted(signals, np.array(rotation(stated.imu_mounting)))
+    explained = {horizon: _explanation(*_turns_by(signals, horizon)) for horizon in HORIZONS_S}
+    best = max(explained, key=lambda horizon: explained[horizon])
+    return dataclasses.replace(signals, horizon_s=best if explained[best] > 0.0 else 0.0)
 
 
-def _nearest(t: Array, values: Array, grid: Array, even: Array) -> Array:
-    """Return the last samples before times; NaN where the signal at even steps is missing."""
-    if not len(t):
-        return even
-    last = values[(np.searchsorted(t, grid, "right") - 1).clip(0), 0]
-    return np.where(np.isfinite(even), last, np.nan)
-
-
-def _complex(values: Array) -> Complex:
-    return np.asarray(values[:, 0] + 1j * values[:, 1])
+def _mounted(s: Signals, turn: Array) -> Signals:
+    """Return signals of an IMU turned into the axes of the boat; upright where axes are missing."""
+    gyros, forces = s.stacked(*GYROS), s.stacked(*FORCES)
+    if not s.has(*GYROS[:2]):
+        gyros[:2] = 0.0
+    if not s.has(FORCES[2]):
+        forces[2] = -GRAVITY
+    return s.having((*GYROS, *FORCES), np.concatenate([turn @ gyros, turn @ forces]))
 
 
 class Comparison(NamedTuple):
@@ -231,9 +192,11 @@ class Comparison(NamedTuple):
     """Samples of what is left that are independent, of ..."""
     samples: int
     """... so many."""
+    uses: frozenset[str] = frozenset()
+    """Columns that it was made of."""
 
 
-def compare(x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Comparison | None:
+def _compare(x: npt.NDArray[Any], y: npt.NDArray[Any], uses: frozenset[str]) -> Comparison | None:
     """Return how well two signals (n,) agree, by Huber's weights; None where they are too few."""
     ok = np.isfinite(x) & np.isfinite(y)
     if ok.sum() < ENOUGH // 2:
@@ -243,13 +206,13 @@ def compare(x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Comparison | None:
     weight = np.minimum(1.0, 4.0 * float(np.median(left)) / np.maximum(left, 1e-300))
     both = float(weight @ (np.abs(x) ** 2 + np.abs(y) ** 2))
     square = float(weight @ left**2)
-    if not 0.0 < both < 1e100:
+    if not 0.0 < both < HUGE:
         return None
     d = np.sqrt(weight) * (x - y)
     # neighbours say the same
     along = float(np.real(np.vdot(d[1:], d[:-1]))) / max(square, 1e-300)
     same = min(max(along, 0.0), 0.95)
-    return Comparison(square / both + FLOOR, len(x) * (1.0 - same) / (1.0 + same), len(x))
+    return Comparison(square / both + FLOOR, len(x) * (1.0 - same) / (1.0 + same), len(x), uses)
 
 
 def gain(before: Comparison | None, after: Comparison | None) -> float:
@@ -267,12 +230,13 @@ def _mean(values: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
     """Return means over so many steps around each; NaN where some are missing."""
     lost = np.isnan(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(lost, 0.0, values))])
-    missing = np.concatenate([[0], np.cumsum(lost)])
     half, found = count // 2, np.full(len(values), np.nan, dtype=total.dtype)
     if count > len(values):
         return found
     means = (total[count:] - total[:-count]) / count
-    means[missing[count:] > missing[:-count]] = np.nan
+    if lost.any():
+        missing = np.concatenate([[0], np.cumsum(lost)])
+        means[missing[count:] > missing[:-count]] = np.nan
     found[half : half + len(means)] = means
     return found
 
@@ -280,9 +244,8 @@ def _mean(values: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
 def _sum(values: npt.NDArray[Any], step: float) -> npt.NDArray[Any]:
     """Return the integral of signals; NaN where they are missing."""
     lost = np.isnan(values)
-    even: npt.NDArray[Any] = np.where(lost, 0.0, values)
     t: Array = np.asarray(step * np.arange(len(values)), np.float64)
-    total = np.asarray(integrated(t, even))
+    total = np.asarray(integrated(t, np.where(lost, 0.0, values)))
     total[lost] = np.nan
     return total
 
@@ -293,330 +256,271 @@ def _changes(values: npt.NDArray[Any], width: int, order: int = 1) -> npt.NDArra
     return np.diff(means, n=order)
 
 
-def _steps(s: Signals, seconds: float) -> int:
-    return max(round(seconds / s.step), 2)
-
-
-def _way_width(s: Signals) -> int:
-    return _steps(s, max(s.way_s, 2.0 * s.intervals.get("fix", 0.0)))
-
-
-def _fixes(s: Signals) -> tuple[Complex, Complex]:
-    """Way of the fixes, and of the integrated velocity."""
-    width = _way_width(s)
-    return _changes(s.fix, width), _changes(_sum(s.velocity, s.step), width)
-
-
 def _tilt(s: Signals) -> tuple[Array, Array]:
-    """Return roll and pitch: of the AHRS, else the fast part of the integrated gyros."""
-    if s.has("angles"):
-        return s.angles[:, 0], s.angles[:, 1]
-    width = _steps(s, SLOW_S)
-    total = [_sum(column, s.step) for column in s.gyros[:, :2].T]
-    return total[0] - _mean(total[0], width), total[1] - _mean(total[1], width)
+    """Return roll and pitch: of the AHRS, else the fast part of the integrated gyros, else 0."""
+    if s.has(*ANGLES):
+        return s[ANGLES[0]], s[ANGLES[1]]
+    if not s.has(*GYROS[:2]):
+        return np.zeros(len(s.t)), np.zeros(len(s.t))
+    total = [_sum(s[name], s.step) for name in GYROS[:2]]
+    slow = s.width(SLOW_S, 0.0, *GYROS)
+    return total[0] - _mean(total[0], slow), total[1] - _mean(total[1], slow)
 
 
-def _turning(s: Signals) -> Array:
-    """Return the rate of turn of an upright boat by the gyros."""
-    if not s.has("angles"):
-        return s.gyros[:, 2]
-    roll, pitch = s.angles.T
-    return (s.gyros[:, 1] * np.sin(roll) + s.gyros[:, 2] * np.cos(roll)) / np.cos(pitch)
+def angle_rates(roll: Array, pitch: Array, gyros: Array) -> tuple[Array, Array, Array]:
+    """Return the rates of roll, pitch and heading that gyros (3, N) measure."""
+    turn = gyros[1] * np.sin(roll) + gyros[2] * np.cos(roll)
+    pitching = gyros[1] * np.cos(roll) - gyros[2] * np.sin(roll)
+    return gyros[0] + np.tan(pitch) * turn, pitching, turn / np.cos(pitch)
 
 
-def _turns(s: Signals) -> tuple[Array, Array]:
-    """Turns of the compass, and of the integrated gyro less its bias."""
-    slowest = max(s.intervals.get("heading", 0.0), s.intervals.get("yaw", 0.0))
-    width = _steps(s, max(2.0, 6.0 * slowest))
-    rate = _sum(_turning(s), s.step)
-    x, y = _changes(s.heading, width), _changes(rate, width)
-    while len(x) > 8 * ENOUGH and np.nanstd(x) < 4.0 * np.nanstd(np.diff(x, n=3)) / 4.5:
+def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array]:
+    """Return the level parts, ahead and to starboard, of specific forces (3, N)."""
+    down = forces[1] * np.sin(roll) + forces[2] * np.cos(roll)
+    aside = forces[1] * np.cos(roll) - forces[2] * np.sin(roll)
+    return forces[0] * np.cos(pitch) + down * np.sin(pitch), aside
+
+
+def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
+    """Changes of an angle, and of the integrated gyro less its bias."""
+    width = s.width(least_s, 6.0, name, GYROS[axis])
+    gyros = s.stacked(*GYROS)
+    if s.has(*ANGLES, *GYROS):
+        gyros = np.array(angle_rates(s[ANGLES[0]], s[ANGLES[1]], gyros))
+    angle, rate = s[name], _sum(gyros[axis], s.step)
+    x, y = _changes(angle, width), _changes(rate, width)
+    # as long as noise is a part of it
+    while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
         width *= 2
-        x, y = _changes(s.heading, width), _changes(rate, width)
-    bound = BIAS * width * s.step
+        x, y = _changes(angle, width), _changes(rate, width)
+    bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
     return x, y - min(max(bias, -bound), bound)
 
 
-def _along(
-    s: Signals, velocity: npt.NDArray[Any], rows: npt.NDArray[Any], width: int
-) -> tuple[Complex, Complex]:
-    """Return a velocity over ground, and that of a boat which goes as it points and is commanded.
+def _accelerations(s: Signals) -> npt.NDArray[np.complex128]:
+    """Return level accelerations north and east, but for their means, by the specific forces."""
+    forces = s.stacked(*FORCES)
+    if not s.has(FORCES[2]):
+        forces[2] = -GRAVITY
+    ahead, aside = level_forces(*_tilt(s), forces)
+    level = (ahead - np.nanmean(ahead)) + 1j * (aside - np.nanmean(aside))
+    return level * np.exp(1j * s["compass_rad"])
+
+
+def _both(s: Signals, x: npt.NDArray[Any], rate: npt.NDArray[Any], width: int, order: int) -> Pair:
+    """Return changes of a signal, and of the integral of its rate."""
+    return _changes(x, width, order), _changes(_sum(rate, s.step), width, order)
+
+
+def _gone(s: Signals) -> Pair:
+    """Way of the fixes, and of the integrated velocity."""
+    return _both(s, s.level(FIX), s.level(VELOCITY), s.width(s.way_s, 2.0, *FIX), 1)
+
+
+def _pushed(s: Signals) -> Pair:
+    """Changes of the level velocity, or of that of the fixes, and of the integrated forces."""
+    force = _accelerations(s)
+    if s.has(*VELOCITY):
+        return _both(s, s.level(VELOCITY), force, s.width(1.0, 2.0, *VELOCITY), 2)
+    return _both(s, s.level(FIX), _sum(force, s.step), s.width(2.0, 4.0, *FIX), 3)
+
+
+def _heaved(s: Signals) -> Pair:
+    """Changes of the vertical speed, and of the integrated vertical force."""
+    force = s[FORCES[2]] - np.nanmean(s[FORCES[2]])
+    return _both(s, s["gps_vz_mps"], force, s.width(0.5, 2.0, "gps_vz_mps"), 2)
+
+
+def _risen(s: Signals) -> Pair:
+    """Fast part of the height, and of the integrated vertical speed or force."""
+    climb = s["gps_vz_mps"]
+    if not s.has("gps_vz_mps"):
+        total = _sum(s[FORCES[2]] - np.nanmean(s[FORCES[2]]), s.step)
+        climb = total - _mean(total, s.width(SLOW_S, 0.0, "gps_z_m"))
+    return _both(s, s["gps_z_m"], climb, s.width(1.0, 2.0, "gps_z_m"), 2)
+
+
+def _weighed(s: Signals) -> Pair:
+    """Mean specific force, and gravity with the acceleration of turns."""
+    nothing = np.zeros(len(s.t))
+    if not s.has(*FORCES):
+        return nothing, np.full(len(s.t), math.nan)
+    speed = np.abs(s.level(VELOCITY)) if s.has(*VELOCITY) else nothing
+    around = np.gradient(s["compass_rad"], s.step) * speed if s.has("compass_rad") else nothing
+    roll, pitch = s.stacked(*ANGLES) if s.has(*ANGLES) else (nothing, nothing)
+    expected = (
+        GRAVITY * np.sin(pitch),
+        around - GRAVITY * np.sin(roll) * np.cos(pitch),
+        -GRAVITY * np.cos(roll) * np.cos(pitch),
+    )
+    width = s.width(SLOW_S, 0.0, *FORCES)
+    x, y = (
+        np.concatenate([_mean(column, width)[width // 2 :: width] for column in each])
+        for each in (s.stacked(*FORCES), expected)
+    )
+    return x, y
+
+
+def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
+    """Return velocities over ground, and those of a boat that goes as it points and is commanded.
 
     Its speed ahead is free; in turns it drifts in proportion to the yaw rate; the current is one.
+    Velocities are means over a width of steps, in the middles of such widths.
     """
-    rows = rows[: len(velocity)]
-    velocity = velocity[: len(rows)]
-    heading = _mean(s.heading, width)[rows]
+    rows = np.arange(width, len(s.t), width)[: len(velocity)]
+    v, heading = velocity[: len(rows)], _mean(s["compass_rad"], width)[rows]
     # both sides: a propeller that runs backwards gives less thrust
-    thrust = _mean(s.shafts.max(axis=1), width)[rows]
-    turned = np.gradient(heading)
+    thrust = _mean(s.stacked(*COMMANDS[:2]).max(axis=0), width)[rows]
+    turned = np.gradient(heading) if len(rows) > 1 else heading
     # the way of a boat that turns on the spot tells no direction
-    ok = np.isfinite(velocity) & (np.abs(turned) < ARC)
-    ok &= np.abs(velocity) > SLOW * np.fmax.reduce(np.abs(velocity), initial=0.0)
-    fitted = np.full(len(velocity), np.nan, dtype=np.complex128)
+    ok = np.isfinite(v) & (np.abs(turned) < ARC_RAD)
+    ok &= np.abs(v) > SLOW_SHARE * np.fmax.reduce(np.abs(v), initial=0.0)
     if ok.sum() < ENOUGH // 2:
-        return velocity, fitted
-    v, axes = velocity[ok], np.exp(1j * heading[ok])
+        return v[:0], v[:0]
+    v, axes, turned = v[ok], np.exp(1j * heading[ok]), turned[ok]
+    size = max(float(np.sqrt(np.mean(np.abs(v) ** 2))), 1e-300)
+    # current north and east and drift, as shares of the speed, by ridge regression of the sway
+    side = (v * axes.conj()).imag / size
+    known = np.column_stack([-axes.imag, axes.real, turned / max(float(np.std(turned)), 1e-9)])
+    prior, fit = np.array([CURRENT_SHARE, CURRENT_SHARE, DRIFT_RAD]), np.zeros(3)
+    for _ in range(3):
+        left = side - known @ fit
+        weight = float(left @ left) / len(v) * np.diag(prior**-2.0)
+        fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
+    # no current is as fast as the boat, whatever it would explain
+    share = min(1.0, 2.0 * CURRENT_SHARE / max(math.hypot(fit[0], fit[1]), 1e-9))
+    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -DRIFT_RAD, DRIFT_RAD)
     sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
-    power = max(float(np.mean(np.abs(v) ** 2)), 1e-300)
-    bend = turned[ok] / max(float(np.std(turned[ok])), 1e-9) * math.sqrt(power)
-    current, drift = 0.0 + 0.0j, 0.0
-    for _ in range(5):
-        ahead = axes * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0) * sign
-        left = v - ahead - 1j * axes * drift * bend
-        more = float(np.mean(np.abs(left - left.mean()) ** 2)) / (CURRENT**2 * power)
-        # half of the plane is free: what the speed ahead takes up comes back in the next pass
-        current = complex(left.mean()) / (1.0 + more / len(v) * 2.0)
-        size = abs(current) / math.sqrt(power)
-        current *= min(1.0, 2.0 * CURRENT / max(size, 1e-9))
-        side = ((v - current) * axes.conj()).imag
-        drift = float(side @ bend) / max(float(bend @ bend), 1e-300)
-        drift = min(max(drift, -DRIFT), DRIFT)
-    ahead = axes * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0) * sign
-    fitted[ok] = current + ahead + 1j * axes * drift * bend
-    return velocity, fitted
+    ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
+    return v, current + axes * (ahead + 1j * size * drift * known[:, 2])
 
 
-def _track(s: Signals) -> tuple[Complex, Complex]:
+def _track(s: Signals) -> Pair:
     """Velocity of the fixes, and that along the heading."""
-    width = _way_width(s)
-    way = _changes(s.fix, width) / (width * s.step)
-    return _along(s, way, np.arange(width // 2 * 2, len(s.t), width), width)
+    width = s.width(s.way_s, 2.0, *FIX)
+    return _along(s, _changes(s.level(FIX), width) / (width * s.step), width)
 
 
-def _course(s: Signals) -> tuple[Complex, Complex]:
+def _course(s: Signals) -> Pair:
     """Velocity over ground, and that along the heading."""
-    width = _steps(s, max(2.0, 2.0 * s.intervals.get("velocity", 0.0)))
-    rows = np.arange(width, len(s.t), width)
-    return _along(s, _mean(s.velocity, width)[rows], rows, width)
+    width = s.width(2.0, 2.0, *VELOCITY)
+    return _along(s, _mean(s.level(VELOCITY), width)[width::width], width)
 
 
-def _pushes(s: Signals) -> tuple[Complex, Complex]:
-    """Changes of the velocity, and the integrated accelerometers in the axes of the earth."""
-    roll, pitch = _tilt(s)
-    x, y, z = s.forces.T
-    down = y * np.sin(roll) + z * np.cos(roll)
-    ahead = x * np.cos(pitch) + down * np.sin(pitch)
-    aside = y * np.cos(roll) - z * np.sin(roll)
-    level = (ahead - np.nanmean(ahead)) + 1j * (aside - np.nanmean(aside))
-    speed = _sum(level * np.exp(1j * s.heading), s.step)
-    if s.has("velocity"):
-        width = _steps(s, max(1.0, 2.0 * s.intervals.get("velocity", 0.0)))
-        return _changes(s.velocity, width, 2), _changes(speed, width, 2)
-    width = _steps(s, max(2.0, 4.0 * s.intervals.get("fix", 0.0)))
-    return _changes(s.fix, width, 3), _changes(_sum(speed, s.step), width, 3)
-
-
-def _rolling(s: Signals) -> tuple[Array, Array]:
-    """Changes of roll, and of the integrated gyro."""
-    width = _steps(s, 0.5)
-    roll, pitch = s.angles.T
-    rate = s.gyros[:, 0] + np.tan(pitch) * (s.gyros[:, 2] * np.cos(roll))
-    return _changes(roll, width), _changes(_sum(rate, s.step), width)
-
-
-def _pitching(s: Signals) -> tuple[Array, Array]:
-    """Changes of pitch, and of the integrated gyro."""
-    width, roll = _steps(s, 0.5), s.angles[:, 0]
-    rate = s.gyros[:, 1] * np.cos(roll) - s.gyros[:, 2] * np.sin(roll)
-    return _changes(s.angles[:, 1], width), _changes(_sum(rate, s.step), width)
-
-
-def _heaving(s: Signals) -> tuple[Array, Array]:
-    """Changes of the vertical speed, and of the integrated vertical accelerometer."""
-    width = _steps(s, max(0.5, 2.0 * s.intervals.get("climb", 0.0)))
-    sunk = s.forces[:, 2] - np.nanmean(s.forces[:, 2])
-    return _changes(s.climb, width, 2), _changes(_sum(sunk, s.step), width, 2)
-
-
-def _rising(s: Signals) -> tuple[Array, Array]:
-    """Fast part of the height, and of the integrated vertical speed."""
-    width = _steps(s, max(1.0, 2.0 * s.intervals.get("height", 0.0)))
-    climb = s.climb
-    if not s.has("climb"):
-        sunk = s.forces[:, 2] - np.nanmean(s.forces[:, 2])
-        total = _sum(sunk, s.step)
-        climb = total - _mean(total, _steps(s, SLOW_S))
-    return _changes(s.height, width, 2), _changes(_sum(climb, s.step), width, 2)
-
-
-def _weighing(s: Signals) -> tuple[Array, Array]:
-    """Mean specific force, and gravity with the acceleration of turns."""
-    if np.nanstd(s.forces[:, 2]) == 0.0:
-        return np.zeros(0), np.zeros(0)  # not measured
-    width = _steps(s, WEIGHED_S)
-    speed = np.abs(s.velocity) if s.has("velocity") else np.zeros(len(s.t))
-    around = np.gradient(s.heading, s.step) * speed if s.has("heading") else np.zeros(len(s.t))
-    roll, pitch = s.angles.T if s.has("angles") else np.zeros((2, len(s.t)))
-    expected = np.column_stack(
-        [
-            GRAVITY * np.sin(pitch),
-            around - GRAVITY * np.sin(roll) * np.cos(pitch),
-            -GRAVITY * np.cos(roll) * np.cos(pitch),
-        ]
-    )
-    means = [
-        np.concatenate([_mean(column, width)[width // 2 :: width] for column in each.T])
-        for each in (s.forces, expected)
-    ]
-    return means[0], means[1]
-
-
-def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[Array, Array]:
-    """Return a change without what the motion itself explains, and what commands make of it.
-
-    More of a command makes more of the motion: no effect is below 0.
-    """
-    ok = np.isfinite(change)
-    for column in (*own, *commands):
-        ok &= np.isfinite(column)
+def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Array, Array] | None:
+    """Return a change and the commands (n, k), both without what the motion itself explains."""
+    ok = np.isfinite(np.array([change, *own, *commands])).all(axis=0)
     if ok.sum() < ENOUGH:
-        return change[:0], change[:0]
+        return None
     known = np.column_stack([*(column[ok] for column in own), np.ones(int(ok.sum()))])
-    made = np.column_stack([column[ok] for column in commands])
-    both = np.column_stack([change[ok], made])
-    both = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
-    # of commands that hardly change nothing can be told
-    size = np.linalg.norm(both[:, 1:], axis=0)
-    moves = size > 0.02 * np.linalg.norm(made, axis=0)
-    if not moves.any():
-        return both[:, 0], np.zeros(len(both))
-    made = np.where(moves, both[:, 1:] / np.maximum(size, 1e-300), 0.0)
-    return both[:, 0], np.asarray(made @ nnls(made, both[:, 0])[0])
+    both = np.column_stack([change[ok], *(column[ok] for column in commands)])
+    left = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
+    size = np.linalg.norm(left, axis=0)
+    still = size < STILL * np.linalg.norm(both, axis=0)
+    still[0] = False
+    left[:, still] = 0.0
+    return left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
+
+
+def _explanation(change: Array, own: list[Array], commands: list[Array]) -> float:
+    """Return the log-likelihood by which commands of either sign explain a change."""
+    found = _without(change, own, commands)
+    if found is None:
+        return 0.0
+    y, made = found
+    left = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
+    return 0.5 * len(y) * math.log(max(float(y @ y), 1e-300) / max(float(left @ left), 1e-300))
 
 
 def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Array]]:
     """Return changes of the turn from one time to the next, the turn before, the acts between."""
-    force = s.shafts * np.abs(s.shafts)
-    total, angle = force.sum(axis=1), s.steering.mean(axis=1)
-    acts = [force[:, 0] - force[:, 1]]
-    if np.ptp(s.steering) > 0.0:
-        if np.std(acts[0]) < 0.02 * np.abs(total).max(initial=0.0):
+    shafts, steering, heading = s.stacked(*COMMANDS[:2]), s.stacked(*COMMANDS[2:]), s["compass_rad"]
+    force = shafts * np.abs(shafts)
+    total = force.sum(axis=0)
+    acts = [force[0] - force[1]]
+    if np.ptp(steering) > 0.0:
+        if np.std(acts[0]) < STILL * np.abs(total).max(initial=0.0):
             del acts[0]
-        acts.append(angle * (total if total.any() else np.ones_like(total)))
+        acts.append(steering.mean(axis=0) * (total if total.any() else np.ones_like(total)))
     half = max(round(0.5 * horizon / s.step), 1)
     rows = np.arange(2 * half, len(s.t) - 3 * half, 2 * half)
-    nothing = np.zeros(0)
-    if 2 * half * s.step < 3.0 * s.intervals.get("heading", 0.0) or len(rows) < 25:
-        return nothing, [nothing], [nothing]
+    if 2 * half * s.step < 3.0 * s.intervals.get("compass_rad", 0.0):
+        rows = rows[:0]
     # mean rates around the two ends; the commands act in between
-    before = s.heading[rows + half] - s.heading[rows - half]
-    after = s.heading[rows + 3 * half] - s.heading[rows + half]
+    before = heading[rows + half] - heading[rows - half]
+    after = heading[rows + 3 * half] - heading[rows + half]
     return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
 
 
-def _yawing(s: Signals) -> tuple[Array, Array]:
+def _explained(change: Array, own: list[Array], commands: list[Array]) -> Pair:
+    """Return a change without what the motion itself explains, and what commands make of it.
+
+    More of a command makes more of the motion: no effect is below 0.
+    """
+    found = _without(change, own, commands)
+    if found is None:
+        return change[:0], change[:0]
+    return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
+
+
+def _yawed(s: Signals) -> Pair:
     """Changes of the yaw rate by the compass, and what the commands make of it."""
-    nothing = np.zeros(0)
-    if s.horizon_s == 0.0 or _holds_course(s):
-        return nothing, nothing
-    change, own, acts = _turns_by(s, s.horizon_s)
-    return _explained(change, own, acts) if acts else (nothing, nothing)
-
-
-def _holds_course(s: Signals) -> bool:
-    """Return whether the commands answer the motion: in waves they seem to cause it, then."""
-    force = s.shafts * np.abs(s.shafts)
-    asked = force[:, 0] - force[:, 1]
-    if np.ptp(s.steering) > 0.0:
-        asked = s.steering.mean(axis=1)
-    rate = np.gradient(_mean(s.heading, _steps(s, 0.5)), s.step)
-    motion = np.column_stack([s.heading, rate, np.ones_like(rate)])
-    known = np.isfinite(motion).all(axis=1)
-    spread = float(np.std(asked[known])) if known.any() else 0.0
-    if known.sum() < 5 * ENOUGH or spread == 0.0:
-        return False
-    fit = np.linalg.lstsq(motion[known], asked[known], rcond=1e-9)[0]
-    left = float(np.var(asked[known] - motion[known] @ fit)) / spread**2
-    parts = fit[:2] * motion[known, :2].std(axis=0) / spread
-    return left < 1.0 - ANSWERS and bool(
-        abs(parts).min() > ANSWERS_BOTH and parts[0] * parts[1] > 0
-    )
-
-
-def _share(change: Array, own: list[Array], commands: list[Array]) -> float:
-    """Return the share of a change that commands of either sign explain."""
-    ok = np.isfinite(change)
-    for column in (*own, *commands):
-        ok &= np.isfinite(column)
-    if ok.sum() < ENOUGH:
-        return 0.0
-    known = np.column_stack([*(column[ok] for column in own), np.ones(int(ok.sum()))])
-    all_of = np.column_stack([known, *(column[ok] for column in commands)])
-    left = [
-        float(np.sum((change[ok] - A @ np.linalg.lstsq(A, change[ok], rcond=1e-9)[0]) ** 2))
-        for A in (known, all_of)
-    ]
-    return 1.0 - left[1] / max(left[0], 1e-300)
-
-
-def _surging(s: Signals) -> tuple[Array, Array]:
-    """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
-    width = _way_width(s)
-    way = _changes(s.fix, width) / (width * s.step)
-    rows = np.arange(width // 2 * 2, len(s.t), width)[: len(way)]
-    heading = _mean(s.heading, width)[rows]
-    ahead = (way[: len(rows)] * np.exp(-1j * heading)).real
-    if len(heading) > 1:
-        ahead[np.abs(np.gradient(heading)) > ARC] = np.nan
-    force = s.shafts * np.abs(s.shafts)
-    middle = (
-        _mean(force.sum(axis=1), width)[rows[0] + width // 2 :: width]
-        if len(rows)
-        else force[:0, 0]
-    )
-    count = min(len(ahead) - 1, len(middle))
-    if count < ENOUGH or np.nanstd(middle) < 0.1 * np.abs(force.sum(axis=1)).max(initial=0.0):
+    if s.horizon_s == 0.0:
         return np.zeros(0), np.zeros(0)
-    now = ahead[:count]
-    turned = np.diff(heading)[:count]
-    change = ahead[1 : count + 1] - now
-    return _explained(change, [now, now * np.abs(now), turned**2], [middle[:count]])
+    return _explained(*_turns_by(s, s.horizon_s))
 
 
-COMPARISONS: dict[str, tuple[tuple[str, ...], Callable[[Signals], tuple[Array, Array]]]] = {
-    "fixes and velocity": (("fix", "velocity"), _fixes),  # type: ignore[dict-item]
-    "turns of compass and gyro": (("heading", "gyros"), _turns),
-    "track and compass": (("fix", "heading"), _track),  # type: ignore[dict-item]
-    "course and compass": (("velocity", "heading"), _course),  # type: ignore[dict-item]
-    "velocity and accelerometers": (("heading", "forces"), _pushes),  # type: ignore[dict-item]
-    "roll of AHRS and gyro": (("angles", "gyros"), _rolling),
-    "pitch of AHRS and gyro": (("angles", "gyros"), _pitching),
-    "vertical speed and accelerometer": (("climb", "forces"), _heaving),
-    "height and vertical speed": (("height", "forces"), _rising),
-    "gravity and accelerometers": (("forces",), _weighing),
-    "turns and commands": (("heading",), _yawing),
-    "speed and thrust": (("fix", "heading"), _surging),
+def _surged(s: Signals) -> Pair:
+    """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
+    width = s.width(s.way_s, 2.0, *FIX)
+    way = _changes(s.level(FIX), width) / (width * s.step)
+    rows = np.arange(width, len(s.t), width)[: len(way)]
+    heading = _mean(s["compass_rad"], width)[rows]
+    ahead, turned = (way[: len(rows)] * np.exp(-1j * heading)).real, np.diff(heading)
+    shafts = s.stacked(*COMMANDS[:2])
+    force = _mean((shafts * np.abs(shafts)).sum(axis=0), width)
+    between = force[np.minimum(rows + width // 2, len(s.t) - 1)][:-1]
+    now = np.where(np.abs(turned) < ARC_RAD, ahead[:-1], math.nan)
+    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])
+
+
+BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")
+"""The comparison with one value for all time; those with a model of the boat, which is rough."""
+
+COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
+    "fixes and velocity": _gone,
+    "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0),
+    "track and compass": _track,
+    "course and compass": _course,
+    "velocity and accelerometers": _pushed,
+    "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5),
+    "pitch of AHRS and gyro": lambda s: _turned(s, ANGLES[1], 1, 0.5),
+    "vertical speed and accelerometer": _heaved,
+    "height and vertical speed": _risen,
+    BY_GRAVITY: _weighed,
+    BY_COMMANDS[0]: _yawed,
+    BY_COMMANDS[1]: _surged,
 }
-"""Signals that each needs, and what gives its two sides."""
-
-BY_COMMANDS = ("turns and commands", "speed and thrust")
-"""Comparisons with a model of the boat, which is rough."""
-
-ALSO = {
-    "turns of compass and gyro": ("angles",),
-    "track and compass": ("shafts",),
-    "course and compass": ("shafts",),
-    "velocity and accelerometers": ("velocity", "fix", "gyros", "angles"),
-    "gravity and accelerometers": ("heading", "velocity", "angles"),
-    "height and vertical speed": ("climb",),
-    "turns and commands": ("shafts", "steering"),
-    "speed and thrust": ("shafts",),
-}
-"""What else changes them."""
-
-
-def touched(name: str, changed: Collection[str]) -> bool:
-    """Return whether a comparison uses one of some signals."""
-    return not {*COMPARISONS[name][0], *ALSO.get(name, ())}.isdisjoint(changed)
-
+"""What gives two signals that are equal if all is sound."""
 
 Evidence = dict[str, Comparison | None]
 
 
+class _Watched(dict[str, Array]):
+    """Columns that remember which of them were read."""
+
+    def __init__(self, columns: Mapping[str, Array]) -> None:
+        super().__init__(columns)
+        self.read = set[str]()
+
+    def __getitem__(self, name: str) -> Array:
+        self.read.add(name)
+        return super().__getitem__(name)
+
+
 def log_likelihood(
-    s: Signals, changed: Collection[str] | None = None, before: Evidence | None = None
+    s: Signals, changed: tuple[str, ...] = (), before: Evidence | None = None
 ) -> Evidence:
     """Return all comparisons of signals.
 
@@ -624,22 +528,26 @@ def log_likelihood(
     ----------
     s : Signals
         To be compared.
-    changed : collection of str, optional
-        Signals that differ from those of ``before``; only their comparisons are made anew.
+    changed : tuple of str, optional
+        Columns that differ from those of ``before``; only their comparisons are made anew.
     before : dict, optional
         Comparisons of the others.
     """
     found: Evidence = {}
-    for name, (needs, pair) in COMPARISONS.items():
-        if changed is not None and before is not None and not touched(name, changed):
-            found[name] = before[name]
-            continue
+    for name, pair in COMPARISONS.items():
+        if before is not None:
+            known = before[name]
+            if known is None or known.uses.isdisjoint(changed):
+                found[name] = known
+                continue
+        columns = _Watched(s.columns)
         with np.errstate(all="ignore"):
-            one = compare(*pair(s)) if s.has(*needs) else None
-        if name == "gravity and accelerometers" and one is not None:
-            # boats heel and trim, all along, where no AHRS shows it: each window counts
-            tilt = TILT[1] if s.has("angles") else TILT[0]
-            windows = len(s.t) // _steps(s, WEIGHED_S)
-            one = Comparison(one.rho - FLOOR + tilt**2, windows, windows)
+            x, y = pair(dataclasses.replace(s, columns=columns))
+        one = _compare(x, y, frozenset(columns.read))
+        if name == BY_GRAVITY and one is not None:
+            # boats heel and trim, all along: each window counts
+            windows = len(s.t) // s.width(SLOW_S, 0.0, *FORCES)
+            tilt = (0.5 if s.has(*ANGLES) else 1.0) * TILT_RAD
+            one = Comparison(one.rho - FLOOR + tilt**2, windows, windows, one.uses)
         found[name] = one
     return found

@@ -5,37 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["CODES", "ERROR", "NOTE", "SEVERITIES", "WARNING", "Finding"]
+__all__ = ["ERROR", "NOTE", "SEVERITIES", "WARNING", "Finding"]
 
 ERROR, WARNING, NOTE = "error", "warning", "note"
 
 SEVERITIES = (ERROR, WARNING, NOTE)
 """``error``: the log cannot be used so. ``warning``: the twin will be worse. ``note``: sound,
 but good to know."""
-
-CODES = {
-    "time": "stamps that are empty, equal or go back",
-    "time-unit": "stamps that are no seconds",
-    "gap": "time without rows",
-    "jitter": "stamps that are not those of the samples",
-    "missing": "rows, samples or commands that are needed and not there",
-    "mark": "numbers that stand for no value, or that no boat gives",
-    "dead": "a column whose values are all equal",
-    "lost": "a sensor that is silent for a while",
-    "frozen": "a sensor that repeats itself, or stands still, while the boat moves",
-    "jump": "values that leap and that no boat reaches",
-    "contradiction": "a sensor that contradicts the others for a while",
-    "unit": "values in another unit",
-    "sign": "values with the wrong sign",
-    "axes": "axes that are swapped, mirrored or turned",
-    "sides": "left and right swapped, or one of them without effect",
-    "offset": "a constant angle",
-    "scale": "values too large or too small by a factor",
-    "bias": "a zero that is off",
-    "late": "samples that come late",
-    "unchecked": "what the log does not tell",
-}
-"""What each code of a finding means."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +23,9 @@ class Finding:
     severity : str
         One of :data:`SEVERITIES`.
     code : str
-        One of :data:`CODES`; stable, for programs.
+        Stable, for programs: ``time``, ``time-unit``, ``gap``, ``jitter``, ``missing``, ``mark``,
+        ``dead``, ``lost``, ``frozen``, ``jump``, ``contradiction``, ``unit``, ``sign``, ``axes``,
+        ``sides``, ``offset``, ``scale``, ``bias``, ``late`` or ``unchecked``.
     what : str
         The fault in plain words, with its number.
     remedy : str

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from twin.integrity.rows import HUGE, SENSORS, fix_scatter, speed_of
+from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.integrity.rows import FIX, HUGE, SENSORS, fix_scatter, speed_of
+from twin.integrity.transforms import Measured
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
 
-__all__ = ["Measured", "estimate_instruments", "noise_of", "particulars_text", "typical_boat"]
+__all__ = [
+    "SensorFigures",
+    "estimate_instruments",
+    "particulars_text",
+    "sensor_figures",
+    "typical_boat",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,39 +36,63 @@ UPRIGHT_MPS2 = 0.07
 KNOWN_S = 0.05
 """A latency counts where its standard deviation is smaller."""
 
-NOISY = {
-    "doppler_sd": "velocity",
-    "compass_sd": "compass",
-    "gyro_sd": "gyro",
+NOISY = {"doppler_sd": "velocity", "compass_sd": "compass", "gyro_sd": "gyro"}
+"""Sensors whose noise from sample to sample an instrument of the particulars is."""
+
+UNITS = {
+    "m": ("m", 1.0),
+    "mps": ("m/s", 1.0),
+    "mps2": ("m/s2", 1.0),
+    "rad": ("deg", math.degrees(1.0)),
+    "radps": ("deg/s", math.degrees(1.0)),
 }
+"""Unit in which the noise of columns is shown, and the factor to it."""
 
 
-class Measured(NamedTuple):
-    """A parameter of a sensor."""
+@dataclass(frozen=True)
+class SensorFigures:
+    """What a sensor of a log is like.
 
-    value: float
-    sd: float
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    rate_hz : float
+        New samples a second; 0 for none.
+    noise : float
+        White noise from sample to sample, in ``unit``; NaN where the log does not tell.
+    unit : str
+        Of the noise, for a table.
+    """
+
+    name: str
+    rate_hz: float
+    noise: float
+    unit: str
 
 
-def noise_of(recording: Recording) -> dict[str, float]:
-    """Return the white noise of each sensor, from sample to sample, in its unit."""
-    found = {}
-    for sensor, names in SENSORS.items():
-        t, values = recording.samples(*names)
-        if sensor == "compass":
+def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
+    """Return rate and noise of each sensor; those of roll, pitch and heave only if there."""
+    figures = []
+    for name, columns in SENSORS.items():
+        t, values = recording.samples(*columns)
+        rate = 1.0 / float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        if rate == 0.0 and MEASUREMENTS.index(columns[0]) >= MOTION_AT:
+            continue
+        if name == "compass":
             values = np.unwrap(values, axis=0)
-        squares = (
-            [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
-            if len(t) >= ENOUGH
-            else []
-        )
-        found[sensor] = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
-    return found
+        unit, scale = UNITS[columns[0].rpartition("_")[2]]
+        noise = math.nan
+        if len(t) >= ENOUGH and name != "wind":
+            squares = [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
+            noise = scale * math.sqrt(sum(squares) / len(squares))
+        figures.append(SensorFigures(name, rate, noise, unit if rate else ""))
+    return tuple(figures)
 
 
 def estimate_instruments(
     recording: Recording,
-    noise: dict[str, float],
+    figures: tuple[SensorFigures, ...],
     measured: dict[str, Measured | None],
     particulars: Particulars | None = None,
 ) -> tuple[Instruments, dict[str, str]]:
@@ -70,32 +102,36 @@ def estimate_instruments(
     ----------
     recording : Recording
         The log.
-    noise : dict of str to float
-        Of :func:`noise_of`.
+    figures : tuple of SensorFigures
+        Of its sensors.
     measured : dict of str to Measured or None
         Latency of the GPS and bias of the gyro, as far as the log shows them.
     particulars : Particulars, optional
         For what a log cannot show: slow errors of position and heading, places of the sensors.
     """
     found: dict[str, tuple[float, str]] = {}
+    noise = {
+        each.name: each.noise / UNITS[SENSORS[each.name][0].rpartition("_")[2]][1]
+        for each in figures
+    }
 
     def set_noise(key: str, value: float, why: str) -> None:
-        if math.isfinite(value) and value < 1e6:
+        if value < HUGE:
             least = LEAST[key]
             found[key] = (max(value, least), why if value > least else f"{why}, least value")
 
-    along = fix_scatter(*recording.samples("gps_x_m", "gps_y_m"))[0]
+    along = fix_scatter(*recording.samples(*FIX))[0]
     if along > noise["fix"]:
         set_noise("gps_sd", along, "scatter of the fixes along the track")
     else:
         set_noise("gps_sd", noise["fix"], "scatter from fix to fix")
     for key, sensor in NOISY.items():
         set_noise(key, noise[sensor], "scatter from sample to sample")
-    if noise["accelerometers"] < 1e6:
+    if noise["accelerometers"] < HUGE:
         scatter = math.hypot(noise["accelerometers"], UPRIGHT_MPS2)
         found["accel_sd"] = scatter, f"scatter from sample to sample, and {UPRIGHT_MPS2} for tilt"
     bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
-    if bias is not None and abs(bias.value) < 0.1:
+    if bias is not None:
         found["gyro_bias_sd"] = max(abs(bias.value), 5e-4), "mean difference from the compass"
     if late is not None and late.sd < KNOWN_S < late.value + KNOWN_S:
         found["gps_latency"] = min(late.value, LATENCY_MAX), "best agreement with accelerometers"
@@ -104,25 +140,21 @@ def estimate_instruments(
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}
 
 
-def _speed_and_shaft(recording: Recording) -> tuple[float, float]:
-    """Return the upper quartile of the speeds of a log, m/s, and the shaft speed there, rev/s."""
-    motion = speed_of(recording)
-    if motion is None:
-        return math.nan, math.nan
-    middle, speeds = motion[0], np.hypot(*motion[1].T)
-    speed = float(np.quantile(speeds, 0.75))
-    near = middle[np.abs(speeds - speed) < 0.2 * speed]
-    n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
-    return speed, float(np.median(np.interp(near, recording.t, n))) if len(near) else math.nan
-
-
 def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
-    """Return particulars for the checks of sensors, where those of the boat are unknown."""
-    speed, _ = _speed_and_shaft(recording)
-    speed = min(max(speed, 0.5), 20.0) if math.isfinite(speed) else 1.0
+    """Return particulars where those of the boat are unknown: its speeds are those of the log."""
+    n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
+    motion, speed, shaft = speed_of(recording), 1.0, 0.0
+    if motion is not None:
+        speeds = np.hypot(*motion[1].T)
+        speed = min(max(float(np.quantile(speeds, 0.75)), 0.5), 20.0)
+        fast = motion[0][speeds >= np.quantile(speeds, 0.75)]
+        shaft = float(np.median(np.interp(fast, recording.t, n)))
+    fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
     return Particulars(
-        name="unknown", length=3.0, beam=1.2, draft=0.3, mass=300.0, speed=speed, shaft_speed=20.0,
+        name=recording.name, length=3.0, beam=1.2, draft=0.3, mass=300.0,
+        speed=float(f"{speed:.3g}"), shaft_speed=float(f"{shaft:.3g}") or 20.0,
         instruments=instruments,
+        steering="differential" if fixed else "drives",
     )  # fmt: skip
 
 
@@ -144,37 +176,16 @@ def particulars_text(
         Of the boat. Without them the keys that no log shows stand as comments to fill in, and
         the file is refused until that is done.
     """
-    if particulars is not None:
-        text = dataclasses.replace(particulars, instruments=instruments).to_toml()
-    else:
-        text = _template(recording, instruments)
+    boat = particulars or typical_boat(recording, instruments)
+    if particulars is None:
+        seen = {"speed": "upper quartile of the log", "shaft_speed": "at that speed and above"}
+        reasons = reasons | seen | {"steering": "by the angles in the log"}
     lines = []
-    for line in text.splitlines():
+    for line in dataclasses.replace(boat, instruments=instruments).to_toml().splitlines():
         key = line.partition(" = ")[0]
-        lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
+        if particulars is None and key in ("length", "beam", "draft", "mass"):
+            lines.append(f"# {key} = ?  # fill in")
+        else:
+            lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
     head = f"# Instruments estimated from {recording.name} by usv-twin check;"
     return "\n".join([head, "# those without a comment are not.", *lines]) + "\n"
-
-
-def _template(recording: Recording, instruments: Instruments) -> str:
-    """Return the text for a boat of which only its log is known."""
-    speed, shaft = _speed_and_shaft(recording)
-    fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
-    lines = [
-        "[particulars]",
-        f"name = {json.dumps(recording.name, ensure_ascii=False)}",
-        "# length = ?    # fill in: m, on the waterline",
-        "# beam = ?      # fill in: m",
-        "# draft = ?     # fill in: m",
-        "# mass = ?      # fill in: kg",
-        f"speed = {speed:.3g}  # upper quartile of the log" if speed == speed else "# speed = ?",
-        f"shaft_speed = {shaft:.3g}  # at that speed" if shaft == shaft else "# shaft_speed = ?",
-        f'steering = "{"differential" if fixed else "drives"}"  # '
-        + ("no angle changes in the log" if fixed else "the log has angles"),
-        "",
-        "[instruments]",
-    ]
-    for item in dataclasses.fields(instruments):
-        value = getattr(instruments, item.name)
-        lines.append(f"{item.name} = {list(value) if isinstance(value, tuple) else value!r}")
-    return "\n".join(lines)

@@ -1,6 +1,6 @@
 """Simple faults of columns as hypotheses: what undoes each, and which explains a log best.
 
-A hypothesis changes signals to what they were without its fault. Its evidence is the log-likelihood
+A hypothesis changes columns to what they were without its fault. Its evidence is the log-likelihood
 by which sensors and commands agree better then (:mod:`twin.integrity.evidence`), less what it costs
 to assume it. All compete; the best one is named and undone, and then the rest is judged anew. A
 parameter is found where its likelihood is largest, with the interval in which it lies with 95 %.
@@ -9,54 +9,47 @@ parameter is found where its likelihood is largest, with the interval in which i
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from twin.channels import MEASUREMENTS
+from twin.channels import COMMANDS
 from twin.integrity.evidence import (
     BY_COMMANDS,
     FLOOR,
+    RAW_HEADING,
     Evidence,
     Signals,
     gain,
     log_likelihood,
-    touched,
 )
 from twin.integrity.findings import ERROR, WARNING, Finding
-from twin.integrity.instruments import Measured
-from twin.logs.recording import Recording
+from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, VELOCITY
+from twin.logs.columns import UNITS
 from twin.particulars import GRAVITY
 
-__all__ = [
-    "Hypothesis",
-    "Undone",
-    "explain",
-    "gps_delay",
-    "gyro_bias",
-    "hypotheses",
-    "unseen_faults",
-]
-
-DEGREE = math.pi / 180.0
+__all__ = ["Hypothesis", "Measured", "Undone", "explain", "measured", "unseen_faults"]
 
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
 
-ENOUGH_GAIN = 12.0
+ENOUGH_GAIN = 15.0
 """Log-likelihood, beyond what a fault costs, from which on it is one."""
 
-FIXED_COST, FITTED_COST = 3.0, 8.0
-"""Of a fault without a number, and of one with a number that is fitted."""
+NUMBER_COST = 5.0
+"""Of a number that is fitted."""
 
-ONE_SIDE = 25.0
-"""Cost of a fault of one side: thrusts of both are seldom even."""
+MORE_COST = 2.0
+"""Of each further mistake that a fault is made of, and of each sample that one explains alone; a
+rival that explains a log so nearly as well is named beside the best."""
 
-RIVAL = 3.0
-"""A rival that explains a log so nearly as well is named beside the best."""
+ONE_SIDE_COST = 25.0
+"""Of a fault of one side: thrusts of both are seldom even."""
 
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
@@ -64,8 +57,15 @@ LIKELY = 0.6
 PLAIN = 0.9
 """A fault without a number that explains so much of what a number does is preferred."""
 
-MOST = 5
-"""Faults of one log, at most."""
+MOST_FAULTS = 5
+"""Of one log."""
+
+COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
+SHAFTS, STEERING = COMMANDS[:2], COMMANDS[2:]
+
+
+OUTRIGHT = {("scale", "velocity"), ("axes", "accelerometers")}
+"""Code and sensor of faults with a number that are errors."""
 
 
 class Scan(NamedTuple):
@@ -73,7 +73,16 @@ class Scan(NamedTuple):
 
     nominal: float
     least: float
-    values: tuple[float, ...]
+    values: Sequence[float]
+
+
+def _angles(least_degrees: float) -> Scan:
+    least, most = math.radians(least_degrees), 0.95 * math.pi
+    return Scan(0.0, least, np.linspace(-most, most, 13).tolist())
+
+
+def _scales(least: float) -> Scan:
+    return Scan(1.0, least, np.geomspace(0.1, 10.0, 11).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,396 +93,243 @@ class Hypothesis:
     sensor: str
     what: str  # with {size} where it has a number
     remedy: str
-    changed: tuple[str, ...]  # the signals that it changes
+    changed: tuple[str, ...]  # the columns that it changes
     undo: Undo
     scan: Scan | None = None
     severity: str = ERROR
-    shown: float = 1.0  # factor of the number, for people
-    plus: float = 0.0  # what is added to it: the delay that is stated
-    cost: float = 0.0  # of one that concerns several sensors at once
-    each: float = 0.0  # of one that explains each window by itself, for each
-    exact: bool = True  # whether the rows of a log are sound without it
+    cost: float = 0.0  # beyond that of any fault
+    alone: bool = False  # whether it explains each sample by itself
+
+    @property
+    def plain(self) -> bool:
+        """Whether it has no number."""
+        return self.scan is None and not self.alone
+
+    def words(self, text: str, size: float) -> str:
+        """Return a text with the number in it; angles in degrees."""
+        shown = math.degrees(size) if "degrees" in self.what else size
+        return text.format(size=f"{shown:.3g}", value=f"{size:.3f}")
 
 
-def _set(s: Signals, **changed: object) -> Signals:
-    return dataclasses.replace(s, **changed)  # type: ignore[arg-type]
-
-
-def _by(name: str, factor: complex) -> Undo:
-    """Return what multiplies a signal."""
-    return lambda s, _: _set(s, **{name: getattr(s, name) * factor})
-
-
-def _columns(name: str, matrix: list[list[float]]) -> Undo:
+def _map(names: tuple[str, ...], matrix: npt.ArrayLike, plus: npt.ArrayLike = 0.0) -> Undo:
     """Return what makes columns of others."""
-    return lambda s, _: _set(s, **{name: getattr(s, name) @ np.array(matrix).T})
+    by, more = np.array(matrix), np.reshape(plus, (-1, 1))
+    return lambda s, _: s.having(names, by @ s.stacked(*names) + more)
 
 
-def _diagonal(name: str, *factors: float) -> Undo:
-    return lambda s, _: _set(s, **{name: getattr(s, name) * np.array(factors)})
+def _scaled(*names: str) -> Undo:
+    return lambda s, a: s.having(names, a * s.stacked(*names))
 
 
-def _from(angle: float, gyros: float = 1.0) -> Undo:
-    """Return what makes a heading of one that counts from an angle, to port."""
-    by = np.array([1.0, 1.0, gyros])
-    return lambda s, _: _set(s, heading=angle - s.heading, gyros=s.gyros * by)
+def _shifted(name: str, sign: float = 1.0) -> Undo:
+    return lambda s, a: s.having((name,), s.stacked(name) + sign * a)
 
 
-def _late(*names: str) -> Undo:
-    return lambda s, seconds: s.late(seconds, *names)
-
-
-def _turned(a: int, b: int, *names: str) -> Undo:
-    """Return what turns columns a and b of sensors back."""
+def _turned(*pairs: tuple[str, str]) -> Undo:
+    """Return what turns pairs of columns by an angle, from the first to the second."""
 
     def undo(s: Signals, angle: float) -> Signals:
-        for name in names:
-            s = _turn(s, angle, name, a, b)
+        for pair in pairs:
+            both = s.level(pair) * np.exp(1j * angle)
+            s = s.having(pair, np.array([both.real, both.imag]))
         return s
 
     return undo
 
 
-def _scaled_gyro(j: int) -> Undo:
-    return lambda s, a: _set(s, gyros=s.gyros * np.where(np.arange(3) == j, a, 1.0))
+def _late(*names: str) -> Undo:
+    """Return what gives columns as if taken so many seconds later: that undoes a delay."""
+
+    def undo(s: Signals, seconds: float) -> Signals:
+        at = s.t + seconds
+        moved = np.array([np.interp(at, s.t, s[name]) for name in names])
+        moved[:, (at < s.t[0]) | (at > s.t[-1])] = np.nan
+        more = seconds if names == (*FIX, *VELOCITY) else 0.0
+        return dataclasses.replace(s.having(names, moved), latency=s.latency + more)
+
+    return undo
 
 
-def _with_rate(signs: list[float]) -> Undo:
-    """Return what turns the sign of an angle and of its rate."""
-    both = np.array(signs)
-    return lambda s, _: _set(s, gyros=s.gyros * both, angles=s.angles * both[:2])
-
-
-def _range(first: float, last: float, count: int) -> tuple[float, ...]:
-    return tuple(np.linspace(first, last, count).tolist())
-
-
-FRAME = 'frame = "enu" in the mapping, for one that runs from east'
-
-AXES = "x is north and y is east"
-
-
-def _of_heading() -> Iterator[Hypothesis]:
-    """Return faults of the compass."""
-    at = ("heading",)
-    yield Hypothesis(
-        "unit", "compass", "the heading is in degrees, not radians",
-        'unit = "deg" for compass_rad in the mapping', at, lambda s, _: _degrees(s),
-    )  # fmt: skip
-    yield Hypothesis(
-        "sign", "compass", "the heading runs counter-clockwise", f"scale = -1.0, or {FRAME}", at,
-        _by("heading", -1.0),
-    )  # fmt: skip
-    for angle, side in ((0.5 * math.pi, "east"), (-0.5 * math.pi, "west")):
-        yield Hypothesis(
-            "axes", "compass", f"the heading counts from {side}, counter-clockwise", FRAME, at,
-            _from(angle),
-        )  # fmt: skip
-        yield Hypothesis(
-            "axes", "compass", f"heading and yaw rate count from {side}, counter-clockwise", FRAME,
-            ("heading", "gyros"),
-            _from(angle, -1.0),
-            cost=2.0,
-        )  # fmt: skip
-    yield Hypothesis(
-        "sign", "compass", "heading and yaw rate run counter-clockwise",
-        "scale = -1.0 for both in the mapping", ("heading", "gyros"),
-        lambda s, _: _diagonal("gyros", 1.0, 1.0, -1.0)(_set(s, heading=-s.heading), 0.0), cost=2.0,
-    )  # fmt: skip
-    yield Hypothesis(
-        "offset", "compass", "the compass sits back to front: the boat goes where its stern points",
-        "offset = 3.1416 for compass_rad in the mapping", at,
-        lambda s, _: _set(s, heading=s.heading + math.pi),
-    )  # fmt: skip
-    yield Hypothesis(
-        "offset", "compass", "the heading is {size} degrees off the motion, in any direction",
-        "offset = {value} for compass_rad in the mapping (magnetic variation, or a sensor askew)",
-        at, lambda s, a: _set(s, heading=s.heading + a),
-        Scan(0.0, math.radians(10.0), _range(-0.95 * math.pi, 0.95 * math.pi, 13)), WARNING,
-        1.0 / DEGREE,
-    )  # fmt: skip
-    yield Hypothesis(
-        "late", "compass", "the heading comes {size} s late",
-        "look for a filter of the compass; stamp samples when they are taken", at,
-        lambda s, a: s.late(a, "heading"), Scan(0.0, 0.2, _range(0.0, 2.5, 9)), WARNING,
-    )  # fmt: skip
-
-
-def _degrees(s: Signals) -> Signals:
+def _in_radians(s: Signals, _: float) -> Signals:
     """Return signals with a heading that was unwrapped as radians taken for degrees."""
-    plain = np.radians(s.raw_heading)
+    plain = np.radians(s[RAW_HEADING])
     known = np.isfinite(plain)
-    heading = np.full_like(plain, math.nan)
-    heading[known] = np.unwrap(plain[known])
-    return _set(s, heading=heading)
-
-
-def _of_gps(latency: float) -> Iterator[Hypothesis]:
-    """Return faults of fixes and velocity over ground."""
-    for names, sensor, columns in (
-        (("fix",), "fixes", "gps_x_m, gps_y_m"),
-        (("velocity",), "velocity", "gps_vx_mps, gps_vy_mps"),
-        (("fix", "velocity"), "gps", "fixes and velocity"),
-    ):
-        both = 2.0 * (len(names) - 1)
-
-        def all_of(
-            change: Callable[[np.ndarray], np.ndarray], names: tuple[str, ...] = names
-        ) -> Undo:
-            return lambda s, _: _set(s, **{name: change(getattr(s, name)) for name in names})
-
-        for code, what, change in (
-            ("axes", "north and east are swapped", lambda v: 1j * np.conj(v)),
-            ("axes", "north has the wrong sign", lambda v: -np.conj(v)),
-            ("axes", "east has the wrong sign", np.conj),
-            ("sign", "both have the wrong sign", lambda v: -v),
-        ):
-            yield Hypothesis(
-                code, sensor, f"{columns}: {what}", f"exchange or turn them in the mapping: {AXES}",
-                names, all_of(change), cost=both + 2.0 * (code == "sign"), exact=names != ("fix",),
-            )  # fmt: skip
-    for factor, unit, remedy in (
-        (1852.0 / 3600.0, "knots", 'unit = "kn"'),
-        (1.0 / 3.6, "km/h", 'unit = "kmph"'),
-        (0.3048, "ft/s", 'unit = "ftps"'),
-        (0.01, "cm/s", "scale = 0.01"),
-        (0.001, "mm/s", "scale = 0.001"),
-        (3600.0 / 1852.0, "m/s taken for knots", "take the unit out"),
-        (3.6, "m/s taken for km/h", "take the unit out"),
-    ):
-        yield Hypothesis(
-            "unit", "velocity", f"the velocity over ground is in {unit}",
-            f"{remedy} for the velocity in the mapping", ("velocity",), _by("velocity", factor),
-        )  # fmt: skip
-    yield Hypothesis(
-        "unit", "fixes", "the positions are in feet", 'unit = "ft" in the mapping', ("fix",),
-        _by("fix", 0.3048),
-    )  # fmt: skip
-    yield Hypothesis(
-        "unit", "velocity", "only the size of the velocity goes with the fixes: its course is no "
-        "angle in radians", 'unit = "deg" for the course in the mapping', ("velocity",), _of_way,
-        each=2.0, exact=False,
-    )  # fmt: skip
-    yield Hypothesis(
-        "scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
-        "check the units of speed, position and time", ("velocity",),
-        lambda s, a: _set(s, velocity=s.velocity * a), Scan(1.0, 0.15, _SCALES), ERROR,
-    )  # fmt: skip
-    yield Hypothesis(
-        "offset", "velocity", "the velocity points {size} degrees off the track of the fixes",
-        "offset = {value} for the course in the mapping: it counts from true north, clockwise",
-        ("velocity",), lambda s, a: _set(s, velocity=s.velocity * np.exp(1j * a)),
-        Scan(0.0, math.radians(10.0), _range(-2.9, 2.9, 11)), WARNING, 1.0 / DEGREE,
-    )  # fmt: skip
-    for names, sensor, said in (
-        (("fix", "velocity"), "gps", "the GPS comes {size} s late"),
-        (("fix",), "fixes", "the fixes come {size} s late"),
-        (("velocity",), "velocity", "the velocity over ground comes {size} s late"),
-    ):
-        yield Hypothesis(
-            "late", sensor, said, "gps_latency = {value} in [instruments] of the particulars"
-            if len(names) > 1
-            else "look for a filter in the receiver, or leave the late columns out",
-            names, _late(*names),
-            Scan(0.0, 0.25, _range(0.0, 3.0, 11)), WARNING, cost=2.0 * (len(names) - 1),
-            plus=latency if len(names) > 1 else 0.0,
-        )  # fmt: skip
+    plain[known] = np.unwrap(plain[known])
+    return s.having(COMPASS, plain[None])
 
 
 def _of_way(s: Signals, _: float) -> Signals:
     """Return signals whose velocity has the direction of the track."""
     count = max(round(1.0 / s.step), 1)
-    way = np.full(len(s.t), np.nan + 0j)
-    way[count:-count] = s.fix[2 * count :] - s.fix[: -2 * count]
-    return _set(s, velocity=np.abs(s.velocity) * np.exp(1j * np.angle(way)))
+    fix, way = s.level(FIX), np.full(len(s.t), np.nan + 0j)
+    way[count:-count] = fix[2 * count :] - fix[: -2 * count]
+    both = np.abs(s.level(VELOCITY)) * np.exp(1j * np.angle(way))
+    return s.having(VELOCITY, np.array([both.real, both.imag]))
 
 
-_SCALES = tuple(np.geomspace(0.1, 10.0, 11).tolist())
+def _units(sensor: str, *names: str) -> Iterator[Hypothesis]:
+    """Return columns in another unit: of a mapping file, or hundreds or thousands."""
+    own, given = names[0].rpartition("_")[2], ", ".join(names)
+    factors = {f"1e-{power} {own}": (10.0**-power, f"scale = 1e-{power}") for power in (2, 3)}
+    for unit, factor in UNITS[own].items():
+        factors[unit] = (factor, f'unit = "{unit}"')
+        if names == VELOCITY:
+            factors[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out")
+    for unit, (factor, remedy) in factors.items():
+        if factor != 1.0:
+            what, undo = f"{given}: in {unit}", _map(names, factor * np.eye(len(names)))
+            remedy, cost = f"{remedy} in the mapping", MORE_COST * (len(names) > 2)
+            yield Hypothesis("unit", sensor, what, remedy, names, undo, cost=cost)
 
-_GYROS = ("gyro_x_radps", "gyro_y_radps", "gyro_radps")
-_ANGLES = ("ahrs_roll_rad", "ahrs_pitch_rad")
-_FORCES = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 
-
-def _of_imu(full: bool) -> Iterator[Hypothesis]:
-    """Return faults of gyros and accelerometers, of all three axes or of those a boat needs."""
-    sensors = (
-        ("gyros", "gyro", _GYROS, ((DEGREE, "degrees per second", 'unit = "degps"'),
-                                   (1e-3, "mrad/s", "scale = 0.001"))),
-        ("forces", "accelerometers", _FORCES, ((GRAVITY, "g", 'unit = "g"'),)),
-    )  # fmt: skip
-    for name, sensor, columns, units in sensors:
-        own = (0, 1, 2) if full else (2,) if name == "gyros" else (0, 1)
-        groups: list[tuple[int, ...]] = [(j,) for j in own]
-        if len(own) > 1:
-            groups += [(0, 1), own] if full else [own]
-        for group in groups:
-            given = ", ".join(columns[j] for j in group)
-            more = 2.0 * (len(group) - 1)
-            factors = [*((factor, "unit", f"{given} in {unit}", f"{remedy} in the mapping")
-                         for factor, unit, remedy in units),
-                       (-1.0, "sign", f"{given}: wrong sign", "scale = -1.0 there")]  # fmt: skip
-            for factor, code, what, remedy in factors:
-                by = [factor if j in group else 1.0 for j in range(3)]
-                yield Hypothesis(
-                    code, sensor, what, remedy, (name,), _diagonal(name, *by), cost=more
-                )
-        for a, b in ((0, 1), (0, 2), (1, 2)) if full else ((0, 1),) * (name == "forces"):
-            for sign, said in ((1.0, "swapped"), (-1.0, "swapped, one with the wrong sign")):
-                for other in (1.0, -1.0):
-                    swap = np.eye(3)
-                    swap[[a, b]] = swap[[b, a]]
-                    swap[a] *= sign
-                    swap[b] *= other * sign if sign < 0.0 else other
-                    yield Hypothesis(
-                        "axes", sensor, f"{columns[a]}, {columns[b]}: {said}",
-                        "x is forward, y to starboard, z down: exchange the columns", (name,),
-                        _columns(name, swap.tolist()), cost=1.0 + (sign * other < 0.0),
-                    )  # fmt: skip
-        if full or name == "forces":
-            yield Hypothesis(
-                "axes", sensor, f"{columns[0]}, {columns[1]}: turned by {{size}} degrees",
-                "turn them back, or state imu_mounting in the particulars", (name,),
-                _turned(0, 1, name),
-                Scan(0.0, math.radians(20.0 if full else 45.0), _range(-3.0, 3.0, 13)), ERROR,
-                1.0 / DEGREE,
-            )  # fmt: skip
-    if full:
-        for a, b, name, about in ((1, 2, "roll", "first"), (2, 0, "pitch", "second")):
-            yield Hypothesis(
-                "axes", "imu", f"the IMU is turned by {{size}} degrees about its {about} axis, or "
-                "the boat lies so", f"imu_mounting: {name} = {{value}} rad in [instruments] of the "
-                "particulars", ("gyros", "forces"),
-                _turned(a, b, "gyros", "forces"),
-                Scan(0.0, math.radians(4.5), _range(-1.2, 1.2, 9)), WARNING, 1.0 / DEGREE,
-            )  # fmt: skip
-        yield Hypothesis(
-            "unit", "accelerometers", "accel_z_mps2 lacks gravity",
-            "give the specific force as the IMU measures it: offset = -9.81 in the mapping",
-            ("forces",), lambda s, _: _set(s, forces=s.forces - np.array([0.0, 0.0, GRAVITY])),
-        )  # fmt: skip
-        yield Hypothesis(
-            "scale", "accelerometers", "the accelerometers are {size} times too small",
-            "scale = {value} for them in the mapping", ("forces",),
-            lambda s, a: _set(s, forces=s.forces * a), Scan(1.0, 0.05, _SCALES), WARNING,
-        )  # fmt: skip
-        yield Hypothesis(
-            "axes", "imu", "the IMU is turned by {size} degrees about its third axis",
-            "imu_mounting = [0.0, 0.0, {value}] in [instruments] of the particulars",
-            ("gyros", "forces"), lambda s, a: _turn(_turn(s, a, "gyros"), a, "forces"),
-            Scan(0.0, math.radians(6.0), _range(-3.0, 3.0, 13)), WARNING, 1.0 / DEGREE,
-        )  # fmt: skip
-    for j, column in enumerate(_GYROS):
-        if j < 2 and not full:
+def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
+    """Return each wrong sign, and each exchange of two axes, of all vectors alike."""
+    size, names = len(vectors[0]), tuple(itertools.chain(*vectors))
+    remedy = "turn or exchange them in the mapping: " + (
+        "x is north, y east" if names[0] in (*FIX, *VELOCITY) else "x ahead, y to starboard, z down"
+    )
+    pairs = [(0, 0), *itertools.combinations(range(size), 2)]
+    for (a, b), signs in itertools.product(pairs, itertools.product((1.0, -1.0), repeat=size)):
+        wrong, swapped = {j for j in range(size) if signs[j] < 0.0}, {a, b} if a < b else set()
+        if not (wrong or swapped) or (swapped and not wrong <= swapped):
             continue
+        order = list(range(size))
+        order[a], order[b] = b, a
+        matrix = np.kron(np.eye(len(vectors)), np.diag(signs)[:, order])
+        said = " and ".join(
+            f"{', '.join(vector[j] for vector in vectors for j in sorted(those))} {how}"
+            for those, how in ((swapped, "swapped"), (wrong, "with the wrong sign"))
+            if those
+        )
+        mistakes = len(vectors) + bool(swapped) + max(len(wrong), 1) - 2
         yield Hypothesis(
-            "scale", "gyro", f"{column} is {{size}} times too small",
-            f"scale = {{value}} for {column} in the mapping", ("gyros",),
-            _scaled_gyro(j),
-            Scan(1.0, 0.1 if j == 2 else 0.3, _SCALES), WARNING,
+            "axes" if swapped else "sign", sensor, said, remedy, names, _map(names, matrix),
+            cost=MORE_COST * mistakes,
         )  # fmt: skip
-    yield Hypothesis(
-        "bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
-        "offset = {value} for gyro_radps in the mapping, with the other sign", ("gyros",),
-        lambda s, a: _set(s, gyros=s.gyros - np.array([0.0, 0.0, a])),
-        Scan(0.0, 0.01, _range(-0.3, 0.3, 13)), WARNING, exact=False,
-    )  # fmt: skip
-    yield Hypothesis(
-        "late", "gyro", "the yaw rate comes {size} s late", "stamp samples when they are taken",
-        ("gyros",), lambda s, a: s.late(a, "gyros"), Scan(0.0, 0.2, _range(0.0, 2.5, 9)), WARNING,
-    )  # fmt: skip
 
 
-def _turn(s: Signals, angle: float, name: str, a: int = 0, b: int = 1) -> Signals:
-    """Return signals with two columns turned back by an angle about the third."""
-    turn = np.eye(3)
-    turn[a, a] = turn[b, b] = math.cos(angle)
-    turn[b, a] = math.sin(angle)
-    turn[a, b] = -turn[b, a]
-    return _columns(name, turn.tolist())(s, angle)
+def _opposite(
+    code: str, sensor: str, what: str, names: tuple[str, ...], angle: float = 0.0
+) -> Hypothesis:
+    """Return columns that all have the wrong sign; the first counts from an angle."""
+    plus = [angle, *[0.0] * (len(names) - 1)]
+    remedy = 'scale = -1.0 there in the mapping, or frame = "enu" for all that runs from east'
+    undo, cost = _map(names, -np.eye(len(names)), plus), MORE_COST * (len(names) - 1)
+    return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
 
-def _of_tilt() -> Iterator[Hypothesis]:
-    """Return faults of roll, pitch and height."""
-    both = ("angles", "gyros")
-    for j, angle in enumerate(("roll", "pitch")):
-        one = [-1.0 if k == j else 1.0 for k in range(3)]
-        yield Hypothesis(
-            "sign", "ahrs", f"ahrs_{angle}_rad: wrong sign", "scale = -1.0 in the mapping",
-            ("angles",), _diagonal("angles", *one[:2]),
-        )  # fmt: skip
-        yield Hypothesis(
-            "sign", "ahrs", f"{angle} and its rate have the wrong sign", "scale = -1.0 for both",
-            both, _with_rate(one), cost=2.0,
-        )  # fmt: skip
-    yield Hypothesis(
-        "axes", "ahrs", "roll and pitch of the AHRS are swapped", "exchange them", ("angles",),
-        _columns("angles", [[0.0, 1.0], [1.0, 0.0]]),
-    )  # fmt: skip
-    yield Hypothesis(
-        "unit", "ahrs", "roll and pitch are in degrees", 'unit = "deg" in the mapping', ("angles",),
-        _by("angles", DEGREE),
-    )  # fmt: skip
-    up = 'it is above 0 downwards: scale = -1.0, or frame = "enu" in the mapping'
-    for name, column in (("height", "gps_z_m"), ("climb", "gps_vz_mps")):
-        yield Hypothesis("sign", name, f"{column} points up", up, (name,), _by(name, -1.0))
-        for factor, unit in ((0.3048, "feet"), (0.01, "cm"), (0.001, "mm")):
-            yield Hypothesis(
-                "unit", name, f"{column} is in {unit}", f"scale = {factor} in the mapping", (name,),
-                _by(name, factor),
-            )  # fmt: skip
-    yield Hypothesis(
-        "sign", "height", "gps_z_m and gps_vz_mps point up", up, ("height", "climb"),
-        lambda s, _: _set(s, height=-s.height, climb=-s.climb), cost=2.0,
-    )  # fmt: skip
+def _measured(
+    code: str, sensor: str, what: str, remedy: str, names: tuple[str, ...], undo: Undo, scan: Scan
+) -> Hypothesis:
+    """Return a fault with a number."""
+    severity = ERROR if (code, sensor) in OUTRIGHT else WARNING
+    return Hypothesis(code, sensor, what, remedy, names, undo, scan, severity)
 
 
-def _of_commands() -> Iterator[Hypothesis]:
-    """Return faults of the commands."""
-    at, said = ("shafts",), "scale = -1.0 in the mapping"
-    yield Hypothesis(
-        "sign", "commands", "the shaft speeds have the wrong sign", said, at, _by("shafts", -1.0)
-    )
-    yield Hypothesis(
-        "sign",
-        "left",
-        "n_left_rps has the wrong sign",
-        said,
-        at,
-        _diagonal("shafts", -1.0, 1.0),
-        cost=ONE_SIDE,
-    )
-    yield Hypothesis(
-        "sign",
-        "right",
-        "n_right_rps has the wrong sign",
-        said,
-        at,
-        _diagonal("shafts", 1.0, -1.0),
-        cost=ONE_SIDE,
-    )
-    yield Hypothesis(
-        "sides", "commands", "left and right are swapped", "exchange the two in the mapping", at,
-        _columns("shafts", [[0.0, 1.0], [1.0, 0.0]]),
-    )  # fmt: skip
-    for j, side in enumerate(("left", "right")):
-        yield Hypothesis(
-            "sides", side, f"the {side} unit hardly turns the boat",
-            "check this thruster, or whether its command is recorded", at,
-            _diagonal("shafts", *(float(k != j) for k in range(2))), severity=WARNING,
-            cost=ONE_SIDE + 2.0,
-        )  # fmt: skip
-    yield Hypothesis(
-        "sign", "steering", "the steering angle has the wrong sign: above 0 it turns to port", said,
-        ("steering",), _by("steering", -1.0),
-    )  # fmt: skip
+def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesis:
+    """Return a fault of one shaft."""
+    remedy = "check this thruster, or its column in the mapping"
+    undo, severity = _map(SHAFTS, np.diag(factors)), ERROR if code == "sign" else WARNING
+    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, severity, ONE_SIDE_COST)
+
+
+QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
+DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
+STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
+STATED = "in [instruments] of the particulars"
+FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"
+
+TABLE: tuple[Hypothesis, ...] = (
+    Hypothesis("unit", "compass", "the heading is in degrees, not radians",
+               'unit = "deg" for it in the mapping', COMPASS, _in_radians),
+    _opposite("sign", "compass", "the heading runs counter-clockwise", COMPASS),
+    _opposite("axes", "compass", "the heading runs counter-clockwise from east", COMPASS, QUARTER),
+    _opposite("axes", "compass", "the heading runs counter-clockwise from west", COMPASS, -QUARTER),
+    _opposite("sign", "compass", "heading and yaw rate run counter-clockwise",
+              (*COMPASS, GYROS[2])),
+    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from east",
+              (*COMPASS, GYROS[2]), QUARTER),
+    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from west",
+              (*COMPASS, GYROS[2]), -QUARTER),
+    Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
+               "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
+    _measured("offset", "compass", "the heading is {size} degrees off the motion in any direction",
+              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
+    _measured("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
+              _late(*COMPASS), DELAY),
+    *_mirrored("fixes", FIX),
+    *_mirrored("velocity", VELOCITY),
+    *_mirrored("gps", FIX, VELOCITY),
+    *_units("fixes", *FIX),
+    *_units("velocity", *VELOCITY),
+    Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
+               "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
+               _of_way, alone=True),
+    _measured("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
+              "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
+              _scales(0.15)),
+    _measured("offset", "velocity", "the velocity points {size} degrees off the track of the fixes",
+              f"{PLUS}: courses count from true north, clockwise", VELOCITY, _turned(VELOCITY),
+              ASKEW),
+    _measured("late", "gps", "the GPS comes {size} s late",
+              f"gps_latency = {{value}} {STATED}", (*FIX, *VELOCITY),
+              _late(*FIX, *VELOCITY), DELAY),
+    _measured("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
+    _measured("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
+              _late(*VELOCITY), DELAY),
+    *_mirrored("gyro", GYROS),
+    *_mirrored("gyro", GYROS[2:]),
+    *_mirrored("accelerometers", FORCES),
+    *_mirrored("accelerometers", FORCES[:2]),
+    *(unit for names in (GYROS, GYROS[:2], *zip(GYROS)) for unit in _units("gyro", *names)),
+    *(unit for names in (FORCES, FORCES[:2], *zip(FORCES))
+      for unit in _units("accelerometers", *names)),
+    Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
+               "offset = -9.81 there in the mapping: give the specific force as it is measured",
+               FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
+    _measured("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
+              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), _angles(30.0)),
+    *(_measured("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
+                "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
+                _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
+      for axis, a, b, angles in (("second", 2, 0, "0.0, {value}, 0.0"),
+                                 ("first", 1, 2, "{value}, 0.0, 0.0"),
+                                 ("third", 0, 1, "0.0, 0.0, {value}"))),
+    _measured("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
+              FORCES, _scaled(*FORCES), _scales(0.05)),
+    *(_measured("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
+                _scaled(name), _scales(0.15)) for name in GYROS),
+    _measured("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
+              f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
+    _measured("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
+              _late(GYROS[2]), DELAY),
+    *_mirrored("ahrs", ANGLES),
+    *_units("ahrs", *ANGLES),
+    *(_opposite("sign", "ahrs", f"{' and '.join(pair)} with the wrong sign", pair)
+      for pair in zip(ANGLES, GYROS[:2], strict=True)),
+    _opposite("sign", "height", "gps_z_m is above 0 upwards", HEIGHT),
+    _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
+    _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
+    *_units("height", *HEIGHT),
+    *_units("climb", *CLIMB),
+    Hypothesis("sign", "commands", "the shaft speeds have the wrong sign",
+               "scale = -1.0 there in the mapping", SHAFTS, _map(SHAFTS, -np.eye(2))),
+    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping",
+               SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
+    Hypothesis("sign", "steering", "steering to starboard turns to port",
+               "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
+    _of_side("sign", "left", "n_left_rps has the wrong sign", [-1.0, 1.0]),
+    _of_side("sign", "right", "n_right_rps has the wrong sign", [1.0, -1.0]),
+    _of_side("sides", "left", "the left unit hardly turns the boat", [0.0, 1.0]),
+    _of_side("sides", "right", "the right unit hardly turns the boat", [1.0, 0.0]),
+)  # fmt: skip
+"""All faults that are looked for."""
 
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
-    """Return the faults that signals may have."""
-    full = s.has("gyros", "forces") and bool(np.nanstd(s.gyros[:, :2]) > 0.0)
-    found = [*_of_heading(), *_of_gps(s.latency), *_of_imu(full), *_of_tilt(), *_of_commands()]
-    return [each for each in found if s.has(*each.changed)]
+    """Return the faults that signals may have, each once."""
+    return list({each.what: each for each in TABLE if s.has(*each.changed)}.values())
 
 
 class _Trial(NamedTuple):
@@ -495,15 +351,9 @@ def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
     """Return the score of a hypothesis that explains all that it touches."""
-    return (
-        -each.cost
-        - FITTED_COST
-        + sum(
-            0.5 * one.samples * math.log(one.rho / FLOOR)
-            for name, one in base.items()
-            if one is not None and touched(name, each.changed)
-        )
-    )
+    touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
+    most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
+    return most - each.cost - NUMBER_COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
@@ -514,53 +364,68 @@ def _explains(before: Evidence, after: Evidence) -> bool:
     )
 
 
-def _try(s: Signals, base: Evidence, each: Hypothesis) -> _Trial:
-    """Return what a hypothesis explains, its number at its best."""
+def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> _Trial:
+    """Return what a hypothesis explains, its number at its best; a harmless one roughly."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
         after = log_likelihood(changed, each.changed, base)
         return _total(base, after, each), changed, after
 
-    if each.scan is None:
-        score, changed, after = at(math.nan)
-        known = [one.samples for k, one in base.items() if one and touched(k, each.changed)]
-        windows = min(known, default=0)
-        score -= each.cost + each.each * windows + FIXED_COST
-        return _Trial(each, math.nan, math.nan, score, changed, after)
-    values = np.array(each.scan.values)
-    scores = [at(float(value))[0] for value in values]
-    best = int(np.argmax(scores))
-    size, width, sd = float(values[best]), float(np.abs(np.diff(values)).max()), math.inf
-    if each.scan.nominal == 1.0:
-        width = 0.3 * size
-    for _ in range(5):
-        left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
-        bend = left - 2.0 * middle + right
-        if bend < 0.0:
-            sd = min(sd, width / math.sqrt(-bend))
-            size += min(max(0.5 * (left - right) / bend, -1.0), 1.0) * width
-        elif max(left, right) > middle:
-            size += width if right > left else -width
-        width *= 0.4
+    size, sd, cost = math.nan, math.nan, each.cost
+    if each.scan is not None:
+        cost += NUMBER_COST
+        values = np.array(each.scan.values)
+        scores = [at(float(value))[0] for value in values]
+        size = float(values[np.argmax(scores)])
+        width = 0.3 * size if each.scan.nominal == 1.0 else float(values[1] - values[0])
+        sd = math.inf
+        for _ in range(5):  # parabolas, ever narrower
+            if harmless and abs(size - each.scan.nominal) + 2.0 * width < each.scan.least:
+                break
+            left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
+            bend = left - 2.0 * middle + right
+            if bend < 0.0:
+                sd = min(sd, width / math.sqrt(-bend))
+                size += min(max(0.5 * (left - right) / bend, -1.0), 1.0) * width
+            elif max(left, right) > middle:
+                size += width if right > left else -width
+            width *= 0.4
     score, changed, after = at(size)
-    return _Trial(each, size, sd, score - each.cost - FITTED_COST, changed, after)
+    if each.alone:  # as many numbers as there are independent samples
+        used = [one for one in after.values() if one and not one.uses.isdisjoint(each.changed)]
+        cost += MORE_COST * min((one.independent for one in used), default=0.0)
+    return _Trial(each, size, sd, score - cost, changed, after)
 
 
 def _counts(trial: _Trial) -> bool:
-    """Return whether the interval of a parameter excludes its nominal value."""
+    """Return whether a parameter is far from its nominal value: so is its interval, then."""
     scan = trial.hypothesis.scan
     if scan is None:
         return True
     inside = scan.values[0] <= trial.size <= scan.values[-1]
-    return inside and abs(trial.size - scan.nominal) > max(scan.least, 4.0 * trial.sd)
+    return inside and abs(trial.size - scan.nominal) > scan.least
+
+
+class Undone(NamedTuple):
+    """A fault that was found."""
+
+    hypothesis: Hypothesis
+    size: float
+
+    def on_rows(self, s: Signals) -> Signals:
+        """Return the rows of a log without it, or without columns where it is not known well."""
+        each = self.hypothesis
+        if each.alone or each.code in ("late", "bias") or each.sensor == "fixes":
+            return s.having(each.changed, math.nan * s.stacked(*each.changed))
+        return each.undo(s, self.size)
 
 
 def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
-    """Return the faults that explain signals best, the signals without them, what undoes them."""
+    """Return the faults that explain signals best, signals without them, and what undoes them."""
     base = log_likelihood(s)
     table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
-    while len(found) < MOST:
+    while len(found) < MOST_FAULTS:
         trials = [_try(s, base, each) for each in table if each.scan is None]
         most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
         # what could explain no more than a fault without a number is not tried
@@ -569,107 +434,56 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
             for each in table
             if each.scan is not None and _at_most(base, each) > most
         ]
-        likely = [t for t in trials if _counts(t) and _explains(base, t.evidence)]
+        likely = [
+            t
+            for t in trials
+            if t.score > ENOUGH_GAIN and _counts(t) and _explains(base, t.evidence)
+        ]
         if not likely:
             break
         best = max(likely, key=lambda trial: trial.score)
-        if best.score < ENOUGH_GAIN:
-            break
-        plain = [t for t in likely if t.hypothesis.scan is None and t.score > PLAIN * best.score]
-        if best.hypothesis.scan is not None and plain:
+        plain = [t for t in likely if t.hypothesis.plain and t.score > PLAIN * best.score]
+        if plain:
             best = max(plain, key=lambda trial: trial.score)
-        near = [
-            t.hypothesis
-            for t in likely
-            if t.score > best.score - RIVAL and t is not best and t.score > ENOUGH_GAIN
-        ]
-        found.append(_finding(best, near))
+        near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
+        found.append(_finding(best, near, s.latency))
         undone.append(Undone(best.hypothesis, best.size))
         s, base = best.signals, best.evidence
-        if best.hypothesis.each > 0.0:  # what is not known of them cannot be held against others
-            s = _set(s, **{name: getattr(s, name) * math.nan for name in best.hypothesis.changed})
+        if best.hypothesis.alone:  # what is not known of them cannot be held against others
+            names = best.hypothesis.changed
+            s = s.having(names, math.nan * s.stacked(*names))
             base = log_likelihood(s)
         table = [each for each in hypotheses(s) if each.what != best.hypothesis.what]
     return found, s, undone
 
 
-def _finding(trial: _Trial, rivals: list[Hypothesis]) -> Finding:
-    """Return a fault in words."""
-    each, size = trial.hypothesis, trial.size + trial.hypothesis.plus
-    half = 1.96 * trial.sd
-    numbers = {"size": f"{each.shown * size:.3g}", "value": f"{size:.3f}"}
-    what, remedy = each.what.format(**numbers), each.remedy.format(**numbers)
+def _finding(trial: _Trial, rivals: list[_Trial], latency: float) -> Finding:
+    """Return a fault in words; a delay of the GPS with the one that is stated."""
+    each, size = trial.hypothesis, trial.size
+    if (each.code, each.sensor) == ("late", "gps"):
+        size += latency
+    low, high = size - 1.96 * trial.sd, size + 1.96 * trial.sd
+    what, remedy = each.words(each.what, size), each.words(each.remedy, size)
     if each.scan is not None:
-        what += f" (95 %: {each.shown * (size - half):.3g} to {each.shown * (size + half):.3g})"
+        what += f" (95 %: {each.words('{size}', low)} to {each.words('{size}', high)})"
     if rivals:
-        remedy += f"; or else: {rivals[0].what.format(**numbers)}"
-    return Finding(
-        each.severity, each.code, what, remedy, each.sensor, size, size - half, size + half
-    )
+        other = rivals[0].hypothesis
+        remedy += f"; or else: {other.words(other.what, rivals[0].size)}"
+    return Finding(each.severity, each.code, what, remedy, each.sensor, size, low, high)
 
 
-_ROWS = {"fix": (0, 1), "velocity": (2, 3), "heading": (4,), "gyros": (5,), "forces": (6, 7)}
-"""Columns of the measurements that the checks on board use."""
+class Measured(NamedTuple):
+    """A parameter of a sensor."""
+
+    value: float
+    sd: float
 
 
-class Undone(NamedTuple):
-    """A fault that was found, to be undone in the rows of a log."""
-
-    hypothesis: Hypothesis
-    size: float
-
-    @property
-    def delay(self) -> float:
-        """Of the GPS that was taken out, s."""
-        of_gps = self.hypothesis.code == "late" and self.hypothesis.sensor == "gps"
-        return self.size if of_gps else 0.0
-
-    def on_rows(self, recording: Recording) -> Recording:
-        """Return a recording without it."""
-        z, at = recording.z.copy(), {name: j for j, name in enumerate(MEASUREMENTS)}
-        cmd = np.nan_to_num(recording.cmd)
-        gyros, forces, angles = (
-            [at[name] for name in names] for names in (_GYROS, _FORCES, _ANGLES)
-        )
-        rows = Signals(
-            recording.t, z[:, 0] + 1j * z[:, 1], z[:, 2] + 1j * z[:, 3], z[:, 4], z[:, 4],
-            z[:, gyros], z[:, forces], z[:, angles], z[:, at["gps_z_m"]], z[:, at["gps_vz_mps"]],
-            cmd[:, :2], cmd[:, 2:], {}, whole=True,
-        )  # fmt: skip
-        if self.hypothesis.changed[0] not in ("shafts", "steering"):
-            for columns in (gyros, forces):  # of one axis only
-                z[:, columns] = np.where(np.isnan(z[:, columns]), 0.0, z[:, columns])
-        missing = np.isnan(recording.z)
-        rows = dataclasses.replace(rows, gyros=z[:, gyros], forces=z[:, forces])
-        rows = self.hypothesis.undo(rows, self.size)
-        z = recording.z.copy()
-        z[:, 0], z[:, 1] = rows.fix.real, rows.fix.imag
-        z[:, 2], z[:, 3], z[:, 4] = rows.velocity.real, rows.velocity.imag, rows.heading
-        z[:, gyros], z[:, forces], z[:, angles] = rows.gyros, rows.forces, rows.angles
-        if not self.hypothesis.exact:
-            unknown = [j for name in self.hypothesis.changed for j in _ROWS.get(name, ())]
-            missing[:, unknown] = True
-        whole = missing.all(axis=0) if self.hypothesis.code == "late" else missing
-        z[np.broadcast_to(whole, z.shape)] = np.nan
-        return dataclasses.replace(recording, z=z, cmd=np.hstack([rows.shafts, rows.steering]))
-
-
-def gps_delay(s: Signals) -> Measured | None:
-    """Return the delay of the GPS behind compass and accelerometers."""
-    for each in _of_gps(s.latency):
-        if each.code == "late" and each.sensor == "gps" and s.has("forces", *each.changed):
-            trial = _try(s, log_likelihood(s), each)
-            return Measured(trial.size + s.latency, trial.sd)
-    return None
-
-
-def gyro_bias(s: Signals) -> Measured | None:
-    """Return the zero of the gyro by the compass, rad/s."""
-    if not s.has("gyros", "heading"):
-        return None
-    for each in _of_imu(False):
-        if each.code == "bias":
-            trial = _try(s, log_likelihood(s), each)
+def measured(s: Signals, code: str, sensor: str) -> Measured | None:
+    """Return the number of a fault, such as the delay of the GPS, whatever its size."""
+    for each in hypotheses(s):
+        if each.scan is not None and (each.code, each.sensor) == (code, sensor):
+            trial = _try(s, log_likelihood(s), each, harmless=False)
             return Measured(trial.size, trial.sd)
     return None
 
@@ -678,19 +492,13 @@ def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
     """Return faults, by sensor, that would not show in signals that are sound."""
     found: dict[str, list[str]] = {}
     for each in hypotheses(s):
-        if each.code not in ("sign", "sides") or each.cost > 0.0 or each.severity != ERROR:
+        sizes = [math.nan]
+        if each.scan is not None and (each.code, each.sensor) == ("offset", "compass"):
+            sizes = [-each.scan.least, each.scan.least]
+        elif each.code not in ("sign", "sides") or each.cost > 0.0 or each.scan is not None:
             continue
-        moves = any(np.nanstd(np.abs(getattr(s, name))) > 0.0 for name in each.changed)
-        after = log_likelihood(each.undo(s, math.nan), each.changed, base)
-        if moves and -_total(base, after, each) < ENOUGH_GAIN:
-            found.setdefault(each.sensor, []).append(each.what)
-    for each in _of_heading():
-        if each.code == "offset" and each.scan is not None and s.has("heading", "fix"):
-            width = each.scan.least
-            turned = [
-                _total(base, log_likelihood(each.undo(s, a), each.changed, base), each)
-                for a in (-width, width)
-            ]
-            if max(turned) > -ENOUGH_GAIN:
-                found.setdefault("compass", []).append("it is off by a constant angle")
+        after = [log_likelihood(each.undo(s, size), each.changed, base) for size in sizes]
+        moves = np.nanstd(np.abs(s.stacked(*each.changed)), axis=1).any()
+        if moves and max(_total(base, one, each) for one in after) > -ENOUGH_GAIN:
+            found.setdefault(each.sensor, []).append(each.words(each.what, max(sizes)))
     return found

@@ -7,8 +7,6 @@ any time. It uses neither the truth, nor later rows, nor another predictor.
 from __future__ import annotations
 
 import copy
-import math
-import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -258,8 +256,6 @@ class Predictor(ABC):
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
     """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
     A subclass names its own; those of its bases count too."""
-    read_by_mean: ClassVar[tuple[str, ...]] = ()
-    """Paths of the arrays that :meth:`mean` reads of all that changes; empty where not stated."""
     made_with: tuple[tuple[Any, ...], dict[str, Any]]
     """Arguments of the constructor, with which a copy is made."""
 
@@ -268,14 +264,6 @@ class Predictor(ABC):
         predictor = super().__new__(cls)
         predictor.made_with = args, options
         return predictor
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Leave the tuning of a subclass unstated, and what its own predictions read."""
-        super().__init_subclass__(**options)
-        if "tuning" not in vars(cls):
-            cls.tuning = "not stated"
-        if "read_by_mean" not in vars(cls) and {"mean", "predict"} & vars(cls).keys():
-            cls.read_by_mean = ()
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
@@ -290,12 +278,6 @@ class Predictor(ABC):
         for i in (0, 1):
             cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
         return cov
-
-    def add_common_error(self, variance: Array) -> None:
-        """Add what :meth:`with_common_error` does, to variances (6 + p,), state first."""
-        common = self.particulars.instruments.gps_bias_sd**2
-        variance[0] += common
-        variance[1] += common
 
     @property
     def ready(self) -> bool:
@@ -388,24 +370,6 @@ class Predictor(ABC):
     def estimate(self) -> Estimate:
         """Return the estimate after the last row."""
 
-    def write_moments(self, mean: Array, variance: Array) -> bool:
-        """Write :meth:`estimate` into arrays, state before parameters; return whether it is ready.
-
-        Parameters
-        ----------
-        mean, variance : ndarray, shape (6 + p,)
-            Written to.
-        """
-        now = self.estimate()
-        mean[:] = np.concatenate([now.state, now.params])
-        variance[:] = np.concatenate([now.sd, now.params_sd]) ** 2
-        return now.ready
-
-    @property
-    def window_s(self) -> float:
-        """Length of the identifier's window of data, s; NaN where it has none."""
-        return math.nan
-
     def identifiability(self) -> Identifiability | None:
         """Return how well the data determine the parameters; None where there is no model."""
         return None
@@ -430,18 +394,11 @@ class Predictor(ABC):
         doubted : bool
             Whether what the drives do is not known: they are then at the plan's first command.
         """
-        later = self if self.read_by_mean else copy.deepcopy(self)
-        read = [operator.attrgetter(path)(self) for path in self.read_by_mean]
-        then = [array.copy() for array in read]
+        now = copy.deepcopy(self)
 
         def forecast(plan: Array, dt: float) -> Array:
-            now = [array.copy() for array in read]
-            _fill(read, then)
-            try:
-                with later.drives_at(plan[0]) if doubted else nullcontext():
-                    return later.mean(plan, dt)
-            finally:
-                _fill(read, now)
+            with now.drives_at(plan[0]) if doubted else nullcontext():
+                return now.mean(plan, dt)
 
         return forecast
 
@@ -504,9 +461,3 @@ class Predictor(ABC):
         Prediction
             At the ends of the rows of the plan; always finite.
         """
-
-
-def _fill(arrays: list[Array], values: list[Array]) -> None:
-    """Write values to arrays."""
-    for array, value in zip(arrays, values, strict=True):
-        array[...] = value

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V, X, Y
-from twin.checkpoint import State, restore_attributes
+from twin.checkpoint import State
 from twin.filters.navigator import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import (
@@ -101,17 +101,9 @@ class HistoryPredictor(Predictor):
         # of a steady predictor, past forecasts by the number of their row
         self._kept_paths: dict[int, Array] = {}
 
-    def state_dict(self) -> State:
-        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
-        state = super().state_dict()
-        state["rows"] = np.array(self._rows).reshape(-1, len(self._last))
-        state["unreliable"] = np.array(self._unreliable, dtype=np.float64)
-        return state
-
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        restore_attributes(self, state, self._left_out())
-        self._unreliable = [flag > 0.0 for flag in self._unreliable]
+        super().load_state_dict(state)
         # past forecasts and their errors follow from the history
         self._errors_at = -math.inf
         self._kept_paths.clear()

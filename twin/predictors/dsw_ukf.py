@@ -422,15 +422,6 @@ class DSWPredictor(ModelPredictor):
         """True once the filter has begun."""
         return self._count > 0
 
-    @property
-    def window_s(self) -> float:
-        """See :attr:`twin.predictors.base.Predictor.window_s`."""
-        if self.use == "off":
-            return math.nan
-        W = self.window.base if self.use == "fixed" else self.window.W
-        last = np.arange(self._count - min(W, self._sound), self._count) % self._size
-        return float(self._ring.dts[last].sum())
-
     def suspend_learning(self, commands: bool, motion: bool) -> None:
         """See :meth:`twin.predictors.base.Predictor.suspend_learning`: parameters are held."""
         self._held = commands or motion
@@ -486,11 +477,6 @@ class DSWPredictor(ModelPredictor):
         cov = super().with_common_error(cov)
         np.einsum("...ii->...i", cov)[...] *= 1.0 + RIDGE
         return cov
-
-    def add_common_error(self, variance: Array) -> None:
-        """See :meth:`twin.predictors.base.Predictor.add_common_error`."""
-        super().add_common_error(variance)
-        variance[:N_STATES] *= 1.0 + RIDGE
 
     def _length(self, z: Array, dt: float, s: Array, expected: Array) -> int:
         """Return W by Algorithm 1."""

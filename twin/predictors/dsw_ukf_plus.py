@@ -145,7 +145,6 @@ class PlusPredictor(UKFPredictor):
     """
 
     tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
-    read_by_mean = ("memory.filter", "memory.nav", "rows", "_window")
     knee = 2.5**2  # of normal errors 1 % lie beyond it
 
     def __init__(
@@ -278,11 +277,6 @@ class PlusPredictor(UKFPredictor):
     def last_row(self) -> int:
         """Number of the newest complete row of the window; -1 if there is none."""
         return int(self.window["halves"]) // 2 - 1
-
-    @property
-    def window_s(self) -> float:
-        """See :attr:`twin.predictors.base.Predictor.window_s`."""
-        return min(max(self.last_row, 0) * GRID, self.refit.span)
 
     def parameters_in_use(self) -> ParametersInUse:
         """See :meth:`twin.predictors.base.Predictor.parameters_in_use`."""

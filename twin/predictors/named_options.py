@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
@@ -25,8 +24,16 @@ __all__ = [
     "split_names",
 ]
 
-BOOLS = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
+WORDS = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
 """Words for a truth value."""
+
+TYPES: dict[str, tuple[Callable[[str], Any], str]] = {
+    "bool": (WORDS.__getitem__, f"one of {', '.join(WORDS)}"),
+    "int": (int, "a whole number"),
+    "float": (float, "a number"),
+    "str": (str, "a text"),
+}
+"""How the text of a value of each type is read, and what it must be."""
 
 _OPTION = re.compile(r"\s*[A-Za-z_]\w*\s*=")
 
@@ -109,15 +116,18 @@ def parse_options(
     """
     known = {one.name: one for one in arguments if one.name != "seed"}
     takes_any = any(one.kind is one.VAR_KEYWORD for one in arguments)
-    options: dict[str, Any] = {}
+    first, *rest = (piece.strip() for piece in text.split(","))
+    options = dict(presets.get(first, {}))
     given: list[str] = []
-    for k, piece in enumerate(text.split(",")):
+    for piece in rest if first in presets else (first, *rest):
         key, mark, value = (part.strip() for part in piece.partition("="))
         if not mark:
-            if k > 0 or key not in presets:
-                raise OptionTextError(_no_preset(name, key, presets, list(known)))
-            options |= presets[key]
-            continue
+            own = ", ".join(presets)
+            raise OptionTextError(
+                f"predictor {name!r}: {key!r} is no option as key=value"
+                f"{did_you_mean(key, presets)}; its options: {', '.join(known) or 'none'}; "
+                + (f"its presets, which stand first: {own}" if presets else "it has no preset")
+            )
         if key in given:
             raise OptionTextError(f"predictor {name!r}: {key} is given twice; leave one out")
         given.append(key)
@@ -128,75 +138,23 @@ def parse_options(
     return options
 
 
-def _no_preset(
-    name: str, found: str, presets: Mapping[str, Mapping[str, Any]], options: Sequence[str]
-) -> str:
-    """Return what to say of a piece that is neither ``key=value`` nor a preset in first place."""
-    own = f"its presets, which stand first: {', '.join(presets)}" if presets else "it has no preset"
-    return (
-        f"predictor {name!r}: {found!r} is no option as key=value{did_you_mean(found, presets)}; "
-        f"its options: {', '.join(options) or 'none'}; {own}"
-    )
-
-
 def _value(where: str, text: str, option: inspect.Parameter | None) -> Any:
-    """Return the value of an option; its default or its annotation says of which type."""
-    default = inspect.Parameter.empty if option is None else option.default
-    hint = "" if option is None or option.annotation is option.empty else str(option.annotation)
-    if text.lower() == "none" and (default is None or "None" in hint):
+    """Return the value of an option by its annotation, else by the type of its default.
+
+    A value of an unknown type is the first of a number and a text that it can be.
+    """
+    hint = set() if option is None else set(re.findall(r"\w+", str(option.annotation)))
+    if "None" in hint and text.lower() == "none":
         return None
-    words = set(re.findall(r"\w+", hint)) - {"None", "Optional", "Union", "typing", "class"}
-    kinds = [kind for kind in READERS if kind.__name__ in words]
-    if not kinds or len(kinds) < len(words):  # numbers, of which one stands for an array, say
-        kinds = [kind for kind in READERS if type(default) is kind]
-    if words and not kinds:
+    default = "" if option is None else type(option.default).__name__
+    kinds = [kind for kind in TYPES if kind in hint] or [kind for kind in TYPES if kind == default]
+    if option is not None and option.default is None and not kinds:
         raise OptionTextError(
-            f"{where}: a value of the type {hint} has no text; hand it to make_predictor or Twin"
+            f"{where}: a value of the type {option.annotation} has no text; hand it to "
+            "make_predictor or Twin"
         )
-    return _first_that_reads(where, text, kinds or list(READERS))
-
-
-def _bool(where: str, text: str) -> bool:
-    if text.lower() not in BOOLS:
-        raise OptionTextError(f"{where} must be one of {', '.join(BOOLS)}")
-    return BOOLS[text.lower()]
-
-
-def _int(where: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise OptionTextError(f"{where} must be a whole number") from None
-
-
-def _float(where: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        raise OptionTextError(f"{where} must be a number")
-    return value
-
-
-def _str(where: str, text: str) -> str:
-    if not text:
-        raise OptionTextError(f"{where}: is empty; write a value behind the =")
-    return text
-
-
-READERS: dict[type, Callable[[str, str], Any]] = {
-    bool: _bool,
-    int: _int,
-    float: _float,
-    str: _str,
-}
-"""How the text of a value of each type is read."""
-
-
-def _first_that_reads(where: str, text: str, kinds: Sequence[type]) -> Any:
-    """Return a text as the first type that it can be; the last one says why it cannot."""
-    for kind in kinds[:-1]:
-        with contextlib.suppress(OptionTextError):
-            return READERS[kind](where, text)
-    return READERS[kinds[-1]](where, text)
+    kinds = kinds or ["int", "float", "str"]
+    for kind in kinds:
+        with contextlib.suppress(KeyError, ValueError):
+            return TYPES[kind][0](text.lower() if kind == "bool" else text)
+    raise OptionTextError(f"{where} must be {' or '.join(TYPES[kind][1] for kind in kinds)}")

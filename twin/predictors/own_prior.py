@@ -6,14 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.boat_prior import (
-    BEAM_SAME,
-    ENVIRONMENT,
-    MASS_SAME,
-    BoatPrior,
-    BoatPriorError,
-    combine,
-)
+from twin.boat_prior import ENVIRONMENT, SAME_BOAT, BoatPrior, BoatPriorError, combine
 from twin.model.priors import takes
 from twin.model.structure import N_STATES
 from twin.predictors.base import Predictor
@@ -56,17 +49,14 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
         about = predictor.particulars
         if not isinstance(predictor, ModelPredictor) or predictor.parameter_names != names:
             raise BoatPriorError(f"run {number} has other parameters than the first: use one model")
-        for key in ("length", "speed", "shaft_speed", "steering"):
-            if getattr(about, key) != getattr(boat, key):
+        for key in ("length", "beam", "mass", "speed", "shaft_speed", "steering"):
+            now, first_had = getattr(about, key), getattr(boat, key)
+            # the load may change from run to run
+            most = SAME_BOAT[key] if key in ("beam", "mass") else 0.0
+            if now != first_had and (not most or abs(now / first_had - 1.0) > most):
                 raise BoatPriorError(
-                    f"run {number} has {key} = {getattr(about, key)}, and the first "
-                    f"{getattr(boat, key)}: a prior is of one boat; use the same particulars"
-                )
-        for key, same in (("beam", BEAM_SAME), ("mass", MASS_SAME)):
-            if abs(getattr(about, key) / getattr(boat, key) - 1.0) > same:
-                raise BoatPriorError(
-                    f"run {number} has {key} = {getattr(about, key)}, and the first "
-                    f"{getattr(boat, key)}: a prior is of one boat"
+                    f"run {number} has {key} = {now}, and the first {first_had}: a prior is of one "
+                    "boat; use the same particulars"
                 )
         if about.prior is not None:
             raise BoatPriorError(
@@ -87,14 +77,14 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
         model=settings.structure.name,
         steering=boat.steering,
         length=boat.length,
+        beam=boat.beam,
+        mass=boat.mass,
         speed=boat.speed,
         shaft_speed=boat.shaft_speed,
         runs=len(runs),
         parameters=tuple(names[i] for i in kept),
         mean=tuple(mean.tolist()),
         covariance=tuple(tuple(row) for row in cov.tolist()),
-        beam=boat.beam,
-        mass=boat.mass,
     )
 
 

@@ -137,7 +137,7 @@ def _imported(name: str, entry: str) -> Any:
     module, attribute = entry.partition(":")[::2]
     here = str(Path.cwd())
     if name == entry and here not in sys.path:
-        sys.path.append(here)  # as for python -m, and in the workers of any backend too
+        sys.path.append(here)  # as for python -m, and in workers too
     try:
         return getattr(import_module(module), attribute)
     except Exception as error:  # foreign code may raise anything when it is imported
@@ -171,8 +171,8 @@ def make_predictor(
     Raises
     ------
     PredictorError
-        Lists the names that there are, or says that there is no structure to choose, or that an
-        option in the name has no such value or is given twice.
+        Lists the names that there are, or says that an option in the name has no such value or is
+        given twice.
     ArgumentError
         An option that the predictor does not have; lists those that it has.
     """
@@ -183,8 +183,6 @@ def make_predictor(
             "leave one out"
         )
     given = {**named, **options}
-    if "model" in given and not kind.models:
-        raise PredictorError(f"predictor {name!r} has no model structure; leave out 'model'")
     arguments = _arguments(kind)
     if not any(one.kind is one.VAR_KEYWORD for one in arguments):
         known = [one.name for one in arguments if one.kind is not one.VAR_POSITIONAL]

@@ -335,7 +335,6 @@ class ModelPredictor(Predictor):
     """
 
     models = True
-    read_by_mean: ClassVar[tuple[str, ...]] = ("ukf.memory",)
 
     def __init__(
         self, particulars: Particulars, settings: FilterSettings, *, seed: int = 0
@@ -378,17 +377,12 @@ class ModelPredictor(Predictor):
 
     def estimate(self) -> Estimate:
         """Return state and parameters as estimated now."""
-        x, sd = np.empty((2, len(self.ukf.x)))
-        ready = self.write_moments(x, sd)
-        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
-        return Estimate(self.t, x[:N_STATES], sd[:N_STATES], x[N_STATES:], sd[N_STATES:], ready)
-
-    def write_moments(self, mean: Array, variance: Array) -> bool:
-        """See :meth:`twin.predictors.base.Predictor.write_moments`."""
-        mean[:] = self.ukf.x
-        variance[:] = self.ukf.P.diagonal()
-        self.add_common_error(variance)
-        return self.ready
+        x, variances = self.ukf.x.copy(), self.ukf.P.diagonal().copy()
+        known = self.with_common_error(self.ukf.P[:N_STATES, :N_STATES])
+        variances[:N_STATES] = known.diagonal()
+        sd = np.sqrt(np.maximum(variances, 0.0))
+        own, params = slice(0, N_STATES), slice(N_STATES, None)
+        return Estimate(self.t, x[own], sd[own], x[params], sd[params], self.ready)
 
     def current(self) -> tuple[float, float, float] | None:
         """See :meth:`twin.predictors.base.Predictor.current`."""
@@ -562,11 +556,6 @@ class UKFPredictor(ModelPredictor):
         it lasts and grows.
         """
         return super().with_common_error(cov) + self.P_nav[:N_STATES, :N_STATES]
-
-    def add_common_error(self, variance: Array) -> None:
-        """See :meth:`twin.predictors.base.Predictor.add_common_error`."""
-        super().add_common_error(variance)
-        variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
 
     def suspend_learning(self, commands: bool, motion: bool) -> None:
         """See :meth:`twin.predictors.base.Predictor.suspend_learning`."""

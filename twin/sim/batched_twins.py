@@ -12,6 +12,7 @@ import math
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -35,7 +36,7 @@ from twin.predictors.plus_forecast import (
     draws_of,
     mean_forecast_of,
 )
-from twin.predictors.registry import PredictorError, predictor_class
+from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.predictors.ukf import (
     RolloutInputs,
     UKFPredictor,
@@ -88,6 +89,7 @@ __all__ = [
     "TWIN_OBSERVATION",
     "TWIN_SETS",
     "TwinObserver",
+    "TwinOptions",
     "twins_of",
 ]
 
@@ -103,27 +105,40 @@ _ALL_STATUSES = _HEALTH.start + field_at(INTEGRITY, "statuses")
 _LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
 
 
+@dataclass(frozen=True, kw_only=True)
+class TwinOptions:
+    """Options of the twins of an environment, see :class:`twin.sim.wrapper.TwinObservation`."""
+
+    twin: str | Predictor = DEFAULT  # a name, or a predictor, of which many boats get copies
+    particulars: Particulars | None = None  # those of the vessel if left out
+    band_period: float = 5.0  # the standard deviations ahead are updated this often, s
+    twin_seed: int = 0
+    observation: str = "twin"  # one of TWIN_SETS
+    forecast_scores: bool = True  # grade the forecasts
+
+    def __post_init__(self) -> None:
+        if self.observation not in TWIN_SETS:
+            raise UsvTwinError(f"observation = {self.observation!r}; known: {', '.join(TWIN_SETS)}")
+        if not (math.isfinite(self.band_period) and self.band_period >= 0.0):
+            raise PredictorError(f"band_period = {self.band_period} must be finite and 0 or more")
+
+
 class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
     Of the episodes only measurements, commands and paths are used, and the truth to grade.
-    ``twin`` is that of the first boat, as new. The standard deviations ahead are updated every
-    ``band_period``, s; 0 for every step. ``observation`` is one of :data:`TWIN_SETS`.
-    ``"twin_params"`` adds the parameters of the identified model and their standard deviations,
-    both in units of the standard deviations that they had at the start; ``"twin_health"`` adds how
-    far each sensor is trusted, and ``"twin_attitude"`` roll, pitch and heave, with six degrees of
-    freedom. ``forecast_scores`` grades the forecasts. ``kind`` is the place of their vessel among
-    the kinds of the episodes.
+    ``twin`` is that of the first boat, as new. The observation ``"twin_params"`` adds the
+    parameters of the identified model and their standard deviations, both in units of the standard
+    deviations that they had at the start; ``"twin_health"`` adds how far each sensor is trusted,
+    and ``"twin_attitude"`` roll, pitch and heave, with six degrees of freedom. ``kind`` is the
+    place of their vessel among the kinds of the episodes.
     """
 
-    def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True, kind: int = 0,
-    ) -> None:  # fmt: skip
-        self.episodes, self.first, self.band_period = episodes, twin, band_period
-        self.kind, self._forecasting = kind, True
+    def __init__(self, episodes: Episodes, twin: Twin, options: TwinOptions, kind: int = 0) -> None:
+        self.episodes, self.first, self.band_period = episodes, twin, options.band_period
+        self.kind, self._forecasting, observation = kind, True, options.observation
         # longer rows than those of the plans would be no test of them
-        self._grading = forecast_scores and episodes.simulation.dt <= LONGEST_STEP
+        self._grading = options.forecast_scores and episodes.simulation.dt <= LONGEST_STEP
         more = grades_size(*self._model_size(twin)) if self._grading else 0
         self._notes = np.zeros((episodes.n, record_size(NOTE) + more))
         self.notes, self._fresh = structured(self._notes, NOTE), np.zeros_like(self._notes[:1])
@@ -140,7 +155,7 @@ class TwinObserver(Observer):
         self.scores = np.empty(episodes.n, dtype=object)
         """Scores (n,) of the forecasts of each boat's episode, see :class:`ForecastScores`."""
         self.scores.fill(NO_SCORES)
-        if forecast_scores:
+        if options.forecast_scores:
             self._infos["twin_forecast"] = self.scores
         self._first_infos: dict[str, Any] = {}
         self._first_statuses = math.nan
@@ -301,11 +316,8 @@ class TwinObserver(Observer):
 class SeparateTwins(TwinObserver):
     """A predictor for each boat, asked one after the other; for any predictor."""
 
-    def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True, kind: int = 0,
-    ) -> None:  # fmt: skip
-        super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
+    def __init__(self, episodes: Episodes, twin: Twin, options: TwinOptions, kind: int = 0) -> None:
+        super().__init__(episodes, twin, options, kind)
         self._waiting: list[deque[Forecaster]] = [deque() for _ in range(episodes.n)]
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         for note, one in zip(self._notes, self.twins, strict=True):
@@ -403,11 +415,8 @@ class CompiledTwins(TwinObserver):
     Of one boat the arrays are the predictor's own.
     """
 
-    def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
-        forecast_scores: bool = True, kind: int = 0,
-    ) -> None:  # fmt: skip
-        super().__init__(episodes, twin, band_period, observation, forecast_scores, kind)
+    def __init__(self, episodes: Episodes, twin: Twin, options: TwinOptions, kind: int = 0) -> None:
+        super().__init__(episodes, twin, options, kind)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.reported[0]
         if self._single:
@@ -420,8 +429,8 @@ class CompiledTwins(TwinObserver):
             *(array[None] if many == 1 else np.repeat(array[None], many, axis=0) for array in own)
         )
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
-        shown = float(observation == "twin_attitude")
-        given = band_period, gps_var, 1.0, shown, float(self._grading), 1.0
+        shown = float(options.observation == "twin_attitude")
+        given = options.band_period, gps_var, 1.0, shown, float(self._grading), 1.0
         self._settings = np.concatenate([given, integrity_settings(twin.particulars)])
         self._given = plain(predictor.config)
         self._scratch = plain((predictor.work, self._buffers()))
@@ -574,33 +583,19 @@ class CompiledPlusTwins(CompiledTwins):
     _observe_rows = staticmethod(observe_plus)
 
 
-def twins_of(
-    episodes: Episodes,
-    twin: str | Predictor,
-    particulars: Particulars | None,
-    band_period: float,
-    seed: int,
-    observation: str = "twin",
-    forecast_scores: bool = True,
-) -> tuple[TwinObserver, ...]:
+def twins_of(episodes: Episodes, options: TwinOptions) -> tuple[TwinObserver, ...]:
     """Return the twins of n boats, for each kind of boat.
 
-    ``twin`` is a name in ``twin.PREDICTORS``, or a predictor, of which many boats get copies;
-    ``particulars`` are those of the vessel if left out; their deck point is that of the episodes.
-    Others: see :class:`TwinObserver`.
+    The deck point of their particulars is that of the episodes.
     """
-    if observation not in TWIN_SETS:
-        raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(TWIN_SETS)}")
-    if not (math.isfinite(band_period) and band_period >= 0.0):
-        raise PredictorError(f"band_period = {band_period} must be finite and 0 or more")
-    sim, options, found = episodes.simulation, {}, []
-    if len(episodes.kinds) > 1 and (particulars is not None or isinstance(twin, Predictor)):
+    sim, twin, given, found = episodes.simulation, options.twin, options.particulars, []
+    if len(episodes.kinds) > 1 and (given is not None or isinstance(twin, Predictor)):
         raise PredictorError(
             "particulars and a predictor are those of one vessel; with several, leave out the "
             "particulars and name the predictor"
         )
     for number, kind in enumerate(episodes.kinds):
-        vessel = kind.vessel
+        more: dict[str, Any] = {}
         if not isinstance(twin, Predictor):
             needs = predictor_class(twin).needs_simulator
             if needs and (len(episodes.seas) > 1 or episodes.worlds.active):
@@ -608,13 +603,13 @@ def twins_of(
                     f"{twin} is given the sea and the boat: name one of each, not "
                     f"{len(episodes.seas)} seas, or what differs from episode to episode"
                 )
-            options = simulator_options(twin, vessel, episodes.seas[0], sim.dof)
-        given = particulars or particulars_of(vessel, sim.suite, sim.dof)
+            more = simulator_options(twin, kind.vessel, episodes.seas[0], sim.dof)
+        about = given or particulars_of(kind.vessel, sim.suite, sim.dof)
         if sim.dof == 6:
-            given = with_deck_point(given, kind.deck_point)
-        first = Twin(given, twin, seed=seed, **options)
+            about = with_deck_point(about, kind.deck_point)
+        first = Twin(about, twin, seed=options.twin_seed, **more)
         make = _COMPILED.get(type(first.predictor), SeparateTwins)
-        found.append(make(episodes, first, band_period, observation, forecast_scores, number))
+        found.append(make(episodes, first, options, number))
     return tuple(found)
 
 

@@ -8,7 +8,7 @@ of :mod:`twin.benchmark.scores`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +63,6 @@ __all__ = [
     "WHERE",
     "Buffers",
     "ForecastScores",
-    "ScoreNameError",
     "follow_forecasts",
     "grade_by_model",
     "grade_known",
@@ -73,7 +72,6 @@ __all__ = [
     "keep_forecast",
     "keep_with_model",
     "next_plan",
-    "pooled",
 ]
 
 PLANS = ("known", "held")
@@ -476,7 +474,7 @@ NAMES = tuple(_PLACES)
 
 
 class ScoreNameError(UsvTwinError, KeyError):
-    """A name without a score; the message says why."""
+    """A name without a score, or whose score no forecast counts for yet."""
 
 
 class ForecastScores(Mapping[str, float]):
@@ -499,18 +497,18 @@ class ForecastScores(Mapping[str, float]):
         self.sums = sums
 
     def __getitem__(self, name: str) -> float:
-        if name not in _PLACES:
-            raise ScoreNameError(f"{name!r}: no such score; twin.sim.forecast_scores.NAMES has all")
+        if name not in self:
+            what = "counts for no forecast yet" if name in NAMES else "is the name of no score"
+            raise ScoreNameError(f"{name!r} {what}; use scores.get({name!r})")
         place, count = _PLACES[name]
-        value = float(self.sums[place])
-        if not count:
-            return value
-        if not self.sums[count]:
-            raise ScoreNameError(f"{name}: no forecast counts for it yet; use scores.get({name!r})")
-        return value / float(self.sums[count])
+        return float(self.sums[place] / (self.sums[count] if count else 1.0))
+
+    def __contains__(self, name: object) -> bool:
+        place = _PLACES.get(name) if isinstance(name, str) else None
+        return place is not None and bool(not place[1] or self.sums[place[1]])
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name, where in _PLACES.items() if not where[1] or self.sums[where[1]])
+        return (name for name in NAMES if name in self)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -521,8 +519,3 @@ class ForecastScores(Mapping[str, float]):
 
 NO_SCORES = ForecastScores(np.zeros(_SUMS))
 """Those of an episode that has just begun."""
-
-
-def pooled(scores: Iterable[ForecastScores]) -> ForecastScores:
-    """Return the scores of all forecasts of several episodes."""
-    return ForecastScores(np.sum([one.sums for one in scores], axis=0))

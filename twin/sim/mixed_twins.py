@@ -1,4 +1,4 @@
-"""Twins of boats of several kinds: each kind has its own, as particulars and prior differ."""
+"""Twins of boats of several kinds, and twins that agents do not see."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.particulars import Particulars
-from twin.predictors.base import Predictor
 from twin.predictors.registry import PredictorError
-from twin.sim.batched_twins import TwinObserver, twins_of
+from twin.sim.batched_twins import TwinObserver, TwinOptions, twins_of
 from usv_gym.envs.episodes import Episodes, Observer
+from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.scene import TwinOverlay
 
 __all__ = ["MixedTwins", "observer_of"]
@@ -29,7 +28,12 @@ class MixedTwins(Observer):
     episodes : Episodes
         The boats.
     kinds : sequence of TwinObserver
-        Twins of all boats for each kind; those of the kind that a boat has are run.
+        Twins of all boats for each kind, as particulars and prior differ; those of the kind that a
+        boat has are run.
+    seen : bool
+        Whether the agent sees their entries; else their forecasts are graded on what it sails.
+    shown : Observer, optional
+        Of an agent that does not: what it sees besides the sensors.
 
     Raises
     ------
@@ -37,15 +41,25 @@ class MixedTwins(Observer):
         The kinds add different entries to the observation.
     """
 
-    def __init__(self, episodes: Episodes, kinds: Sequence[TwinObserver]) -> None:
-        self.kinds, self.names = tuple(kinds), kinds[0].names
+    def __init__(
+        self,
+        episodes: Episodes,
+        kinds: Sequence[TwinObserver],
+        *,
+        seen: bool = True,
+        shown: Observer | None = None,
+    ) -> None:
+        self.kinds, self.seen, self.shown = tuple(kinds), seen, shown
+        self.names = kinds[0].names if seen else shown.names if shown else ()
         self._numbers = episodes.records["kind"]
-        if any(one.names != self.names for one in kinds):
+        if any(one.names != kinds[0].names for one in kinds):
             names = ", ".join(kind.vessel.name for kind in episodes.kinds)
             raise PredictorError(
                 f"vessel = {names}: the twins of these identify different parameters, so that "
                 "observation='twin_params' differs; use 'twin', or vessels of one kind"
             )
+        size = len(episodes.observation) + len(kinds[0].names)
+        self._unseen = np.zeros((episodes.n, size), np.float32)
 
     def _of(self, i: int) -> TwinObserver:
         return self.kinds[int(self._numbers[i])]
@@ -70,6 +84,8 @@ class MixedTwins(Observer):
 
     def reset(self, i: int) -> None:
         """See :class:`Observer`."""
+        if self.shown is not None:
+            self.shown.reset(i)
         for one in self.kinds:
             one.reset(i)
             if one is not self._of(i):
@@ -77,6 +93,9 @@ class MixedTwins(Observer):
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
         """See :class:`Observer`; each twin writes the entries of its own boats alone."""
+        if self.shown is not None:
+            self.shown.observe(obs, look, rows)
+        obs = obs if self.seen else self._unseen
         for one in self.kinds:
             one.observe(obs, look, rows)
 
@@ -94,14 +113,11 @@ class MixedTwins(Observer):
 
 
 def observer_of(
-    episodes: Episodes,
-    twin: str | Predictor,
-    particulars: Particulars | None,
-    band_period: float,
-    seed: int,
-    observation: str = "twin",
-    forecast_scores: bool = True,
+    episodes: Episodes, options: TwinOptions, beside: str = ""
 ) -> TwinObserver | MixedTwins:
-    """Return the twins of n boats; the arguments are those of ``batched_twins.twins_of``."""
-    found = twins_of(episodes, twin, particulars, band_period, seed, observation, forecast_scores)
+    """Return the twins of n boats; ``beside`` is the set that agents see who do not see them."""
+    found = twins_of(episodes, options)
+    if beside:
+        make = OBSERVERS[beside]
+        return MixedTwins(episodes, found, seen=False, shown=make(episodes) if make else None)
     return found[0] if len(found) == 1 else MixedTwins(episodes, found)

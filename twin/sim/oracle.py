@@ -13,14 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import State
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.baselines import COMMANDED, GRID, HistoryPredictor
 from twin.predictors.registry import (
     PredictorError,
-    make_predictor,
     options_of,
     predictor_class,
 )
@@ -33,7 +31,6 @@ from usv_kernel.jit import kernel
 
 __all__ = [
     "Oracle",
-    "check_options_of",
     "check_simulator",
     "known_vessel",
     "simulator_options",
@@ -116,16 +113,6 @@ def known_vessel(particulars: Particulars) -> Vessel:
     )
 
 
-def check_options_of(predictor: str, vessel: str) -> None:
-    """Refuse a name that holds options which its predictor does not take; unknown names, too.
-
-    PredictorError, ArgumentError: as for ``twin.predictors.registry.make_predictor``.
-    """
-    # the values of options are checked by the class
-    if options_of(predictor) and not predictor_class(predictor).needs_simulator:
-        make_predictor(predictor, particulars_of(Vessel.load(vessel)))
-
-
 def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
     """Refuse a predictor that needs the true boat where it is not known.
 
@@ -169,7 +156,8 @@ class Oracle(HistoryPredictor):
 
     tuning = "none: it knows the boat"
     needs_simulator = True
-    constants = ("_true", "_known")
+    steady = True
+    constants = ("_true",)
 
     def __init__(
         self,
@@ -198,12 +186,6 @@ class Oracle(HistoryPredictor):
         self._extra = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
-        self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
-
-    def load_state_dict(self, state: State) -> None:
-        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        super().load_state_dict(state)
-        self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def extra_columns(self, dt: float) -> Array:
         """Return the time and the state of the observer's ship, shape (17,)."""
@@ -230,22 +212,8 @@ class Oracle(HistoryPredictor):
         return self._paths(self._extra[None], plan[None], dt)[0]
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
-        """Return forecasts; see :meth:`HistoryPredictor.forecast`.
-
-        Paths from rows of the last call are reused, because the ship does not change.
-        """
-        asked = np.concatenate([rows[origins, _EXTRA:], plans.reshape(len(plans), -1)], axis=1)
-        known, paths = self._known
-        out = np.empty((*plans.shape[:2], len(TRUE_STATE)))
-        new = np.ones(len(asked), dtype=np.bool_)
-        if known.shape[1] == asked.shape[1]:
-            place = np.minimum(np.searchsorted(known[:, _TIME], asked[:, _TIME]), len(known) - 1)
-            new = (known[place] != asked).any(axis=1)
-            out[~new] = paths[place[~new]]
-        if new.any():
-            out[new] = self._paths(rows[origins[new], _EXTRA:], plans[new], GRID)
-        self._known = asked, out
-        return out
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        return self._paths(rows[origins, _EXTRA:], plans, GRID)
 
     def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
         out = np.empty((*plans.shape[:2], fr.STATE_SIZE))

@@ -56,9 +56,8 @@ def particulars_for_log(
     """Return the particulars for a log.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of a boat
-    that is known by the columns of the log. ``ship`` is a TOML file of particulars, of one boat or
-    several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`). Or it is the name or file
-    of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
+    that is known by the columns of the log. ``ship`` is a TOML file of particulars, or the name or
+    file of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
     VesselError: file and remedy; a log without particulars is such an error.
 
     A vessel that an autopilot's log is of gets the log's unit of shaft speed, and the places of
@@ -78,10 +77,8 @@ def particulars_for_log(
         )
     ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
-    if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
-        return Particulars.load(ship, log=path)
-    if ship == str(file) and "[hull]" not in text:
-        return Particulars.load(ship)  # its error names the missing tables
+    if "[hull]" not in text and ("[particulars]" in text or ship == str(file)):
+        return Particulars.load(ship)
     vessel = Vessel.load(ship)
     if not is_autopilot_log(Path(path)):
         return particulars_of(vessel)
@@ -100,7 +97,6 @@ def twin_for_log(
     mapping: str | Path | None = None,
     model: str | None = None,
     until: float | None = None,
-    resume: str | Path | None = None,
     own_prior: bool = True,
 ) -> tuple[Log, Twin]:
     """Return a log without its truth, and the twin that is to run over it.
@@ -113,27 +109,22 @@ def twin_for_log(
         Names of the predictor and of its model's structure.
     until : float, optional
         Rows after this time are left out, s.
-    resume : str or Path, optional
-        File of ``Twin.save``: that twin goes on, with the rows after its time.
     own_prior : bool
         Whether the twin begins with the prior of the particulars, if they have one.
 
     Raises
     ------
     UsvTwinError
-        Where the log cannot be read, has no row left, or contradicts the saved twin.
+        Where the log cannot be read, or has no row left.
     """
     name = predictor or DEFAULT
     predictor_class(name)
     log = Log.read(path, mapping)
-    if resume is not None:
-        twin = _saved_twin(resume, predictor, ship, model)
-    else:
-        boat = particulars_for_log(path, ship, mapping)
-        check_simulator(name, log, boat)
-        boat = boat if own_prior else dataclasses.replace(boat, prior=None)
-        options: dict[str, Any] = {} if model is None else {"model": model}
-        twin = Twin(boat, name, **options)
+    boat = particulars_for_log(path, ship, mapping)
+    check_simulator(name, log, boat)
+    boat = boat if own_prior else dataclasses.replace(boat, prior=None)
+    options: dict[str, Any] = {} if model is None else {"model": model}
+    twin = Twin(boat, name, **options)
     unused = prior_note(twin.predictor, str(twin.name))
     log = dataclasses.replace(
         log.without_truth(), notes=(*log.notes, *([unused] if unused else ()))
@@ -145,29 +136,7 @@ def twin_for_log(
         log = log.slice(-math.inf, math.nextafter(until, math.inf))
         if len(log) == 0:
             raise TwinError(f"until = {until:g}: {path} has no row before it")
-    if resume is not None and not math.isnan(twin.t):
-        log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
-        if len(log) == 0:
-            raise TwinError(
-                f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
-                "give the log that continues from there"
-            )
     return log, twin
-
-
-def _saved_twin(
-    path: str | Path, predictor: str | None, ship: str | None, model: str | None
-) -> Twin:
-    """Load a saved twin, and refuse options that would contradict it."""
-    twin = Twin.load(path)
-    given = {"predictor": predictor, "ship": ship, "model": model}
-    for option, value in given.items():
-        if value is not None and not (option == "predictor" and value == twin.name):
-            raise TwinError(
-                f"{option} = {value}: {path} holds a twin of {twin.particulars.name} by "
-                f"{twin.name}, which goes on; leave the option out"
-            )
-    return twin
 
 
 _NO_PARTICULARS = (

@@ -439,20 +439,6 @@ def describe_flat(s, boat, note, points, rules, o):
 
 
 @inlined
-def _row_of(memory, i):
-    """Return what boat i remembers."""
-    return UKFMemory(memory.nav[i], memory.filter[i])
-
-
-@inlined
-def _plus_row_of(memory, i):
-    """Return what boat i remembers."""
-    nav, kept, window = memory.nav[i], memory.rows[i], memory.window[i]
-    selector, segments, joint = memory.selector[i], memory.segments[i], memory.joint[i]
-    return PlusMemory(nav, memory.filter[i], kept, window, selector, segments, joint)
-
-
-@inlined
 def _write_variances(P, P_nav, gps_var, now):
     """Write how uncertain the state is now."""
     for i in range(N_STATES):
@@ -497,7 +483,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
-        memory = _row_of(memories, i)
+        memory = UKFMemory(memories.nav[i], memories.filter[i])
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
@@ -565,7 +551,10 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
-        memory = _plus_row_of(memories, i)
+        memory = PlusMemory(
+            memories.nav[i], memories.filter[i], memories.rows[i], memories.window[i],
+            memories.selector[i], memories.segments[i], memories.joint[i],
+        )  # fmt: skip
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import operator
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
-from twin.sim.batched_twins import TWIN_SETS, TwinObserver
+from twin.sim.batched_twins import TWIN_SETS, TwinObserver, TwinOptions
 from twin.sim.bridge import (
     TRUE_STATE,
     VERTICAL,
@@ -26,7 +27,6 @@ from twin.sim.bridge import (
 )
 from twin.sim.compact import COMPACT_SETS, SCALED, set_of, shows_forecast
 from twin.sim.mixed_twins import MixedTwins, observer_of
-from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
@@ -155,9 +155,15 @@ class TwinObservation(
                 "TwinObservation wraps environments with frame_skip=1; with more, "
                 "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
             )
-        self._observer = observer_of(
-            base.episodes, twin, particulars, band_period, seed, observation, forecast_scores
+        options = TwinOptions(
+            twin=twin,
+            particulars=particulars,
+            band_period=band_period,
+            twin_seed=seed,
+            observation=observation,
+            forecast_scores=forecast_scores,
         )
+        self._observer = observer_of(base.episodes, options)
         self.observation_space = spaces_of(
             0, len(base.episodes.observation) + len(self._observer.names)
         )[1]
@@ -193,10 +199,24 @@ class TwinObservation(
         return whole
 
 
-def _set_deck_point(options: dict[str, Any], particulars: Particulars | None) -> None:
-    """Add the deck point of particulars to the options of an environment that rolls."""
-    if particulars is not None and particulars.deck.point is not None and options.get("dof") == 6:
-        options.setdefault("deck_point", particulars.deck.point)
+def _observed(observation: str | Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
+    """Return an environment's options with what makes its twins in place of the twins' options."""
+    given = {name: options.pop(name) for name in TWIN_OPTIONS if name in options}
+    name, wanted = resolved(observation)
+    twins = TwinOptions(**given, observation=name if name in TWIN_SETS else "twin")
+    pictures = options.get("render_mode") is not None
+    read = twins.forecast_scores or pictures or wanted is None or shows_forecast(wanted)
+
+    def made(episodes: Episodes) -> Observer:
+        observer = observer_of(episodes, twins, name if name in OBSERVERS else "")
+        if not read and name != "twin_attitude":  # roll is forecast from the motion ahead
+            observer.leave_out_forecasts()
+        return observer
+
+    about = twins.particulars
+    if about is not None and about.deck.point is not None and options.get("dof") == 6:
+        options.setdefault("deck_point", about.deck.point)
+    return options | {"observer": with_selection(made, wanted) if wanted is not None else made}
 
 
 class USVTwinEnv(USVEnv):
@@ -207,37 +227,22 @@ class USVTwinEnv(USVEnv):
 
     Parameters
     ----------
-    twin, particulars, band_period, twin_seed, forecast_scores
-        As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
-    observation : str
+    observation : str or sequence of str
         ``"twin"``, ``"twin_params"``, ``"twin_health"`` or ``"twin_attitude"``; see
         :func:`make_env`.
     **kwargs
-        As for :class:`usv_gym.envs.env.USVEnv`.
+        ``twin``, ``particulars``, ``band_period``, ``twin_seed`` and ``forecast_scores`` as for
+        :class:`TwinObservation`, with ``twin_seed`` for ``seed``; others as for
+        :class:`usv_gym.envs.env.USVEnv`.
     """
 
-    def __init__(
-        self,
-        *,
-        twin: str | Predictor = DEFAULT,
-        particulars: Particulars | None = None,
-        band_period: float = 5.0,
-        twin_seed: int = 0,
-        observation: str | Sequence[str] = "twin",
-        forecast_scores: bool = True,
-        **kwargs: Any,
-    ) -> None:
-        pictures = kwargs.get("render_mode") is not None
-        watch = _watching(
-            twin, particulars, band_period, twin_seed, observation, forecast_scores, pictures
-        )
-        _set_deck_point(kwargs, particulars)
-        super().__init__(observer=watch, **kwargs)
+    def __init__(self, *, observation: str | Sequence[str] = "twin", **kwargs: Any) -> None:
+        super().__init__(**_observed(observation, kwargs))
 
     @property
     def twin(self) -> Twin:
         """The twin of this episode."""
-        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
+        assert isinstance(self.observer, (TwinObserver, MixedTwins))
         return self.observer.first
 
 
@@ -248,66 +253,29 @@ class USVTwinVectorEnv(USVVectorEnv):
     ----------
     num_envs : int
         Number of boats.
-    twin, particulars, band_period, twin_seed, observation, forecast_scores
+    observation, **kwargs
         As for :class:`USVTwinEnv`; every boat gets a twin of its own. Those of ``"ukf"`` and
-        ``"dsw-ukf-plus"`` run in one compiled call.
-    **kwargs
-        As for :class:`usv_gym.envs.vector.USVVectorEnv`.
+        ``"dsw-ukf-plus"`` run in one compiled call. Others as for
+        :class:`usv_gym.envs.vector.USVVectorEnv`.
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        *,
-        twin: str | Predictor = DEFAULT,
-        particulars: Particulars | None = None,
-        band_period: float = 5.0,
-        twin_seed: int = 0,
-        observation: str | Sequence[str] = "twin",
-        forecast_scores: bool = True,
-        **kwargs: Any,
+        self, num_envs: int, *, observation: str | Sequence[str] = "twin", **kwargs: Any
     ) -> None:
-        pictures = kwargs.get("render_mode") is not None
-        watch = _watching(
-            twin, particulars, band_period, twin_seed, observation, forecast_scores, pictures
-        )
-        _set_deck_point(kwargs, particulars)
-        super().__init__(num_envs, observer=watch, **kwargs)
+        super().__init__(num_envs, **_observed(observation, kwargs))
 
     def twin(self, i: int) -> Twin:
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        assert isinstance(self.observer, (TwinObserver, MixedTwins, UnseenTwins))
+        assert isinstance(self.observer, (TwinObserver, MixedTwins))
         return self.observer.twin(operator.index(i))
 
 
-def _watching(
-    twin: str | Predictor,
-    particulars: Particulars | None,
-    band_period: float,
-    seed: int,
-    observation: str | Sequence[str],
-    forecast_scores: bool,
-    pictures: bool,
-) -> Callable[[Episodes], Observer]:
-    """Return what makes the twins of an environment's boats; of other sets, twins beside them."""
-    name, wanted = resolved(observation)
-    read = forecast_scores or pictures or wanted is None or shows_forecast(wanted)
-
-    def made(episodes: Episodes) -> Observer:
-        if name in TWIN_SETS:
-            twins = observer_of(
-                episodes, twin, particulars, band_period, seed, name, forecast_scores
-            )
-            if not read and name != "twin_attitude":  # roll is forecast from the motion ahead
-                twins.leave_out_forecasts()
-            return twins
-        unseen = observer_of(episodes, twin, particulars, band_period, seed)
-        return UnseenTwins(episodes, OBSERVERS[name], unseen)
-
-    return with_selection(made, wanted) if wanted is not None else made
-
+TWIN_OPTIONS = tuple(
+    item.name for item in dataclasses.fields(TwinOptions) if item.name != "observation"
+)
+"""Names of the options of twins."""
 
 OBSERVATIONS = (*OBSERVERS, *TWIN_SETS, *COMPACT_SETS)
 """Names of the observation sets."""
@@ -333,12 +301,12 @@ def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scal
     return set_of(list(observation)), [SCALED.get(name, name) for name in observation]
 
 
-def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:
+def _keywords(kind: Callable[..., Any]) -> list[str]:
     """Return the names of the arguments that a class itself takes."""
     return [
         one.name
         for one in inspect.signature(kind).parameters.values()
-        if one.kind is not one.VAR_KEYWORD and one.name not in ("observer", *without)
+        if one.kind is not one.VAR_KEYWORD and one.name != "observer"
     ]
 
 
@@ -350,8 +318,8 @@ def _made(
     options: dict[str, Any],
 ) -> _Env:
     """Return an environment of the one class or the other; the options are checked here."""
-    of_twin, own = _keywords(with_twin, "observation"), _keywords(plain)
-    known = ["observation", *of_twin, "max_episode_steps", *own, *EnvConfig.names()]
+    own = _keywords(plain)
+    known = ["observation", *TWIN_OPTIONS, "max_episode_steps", *own, *EnvConfig.names()]
     check_options("USVTwin-v0", options, list(dict.fromkeys(known)))
     if observation is None:
         observation = "raw" if twin is None else "twin"
@@ -362,7 +330,7 @@ def _made(
         if options.get("forecast_scores") and twin is not None:
             return with_twin(twin=twin, observation=observation, **options)
         options.pop("forecast_scores", None)
-        idle = [name for name in options if name in of_twin and name not in own]
+        idle = [name for name in options if name in TWIN_OPTIONS]
         if idle:
             raise ArgumentError(f"{', '.join(idle)}: observation = {observation!r} runs no twin")
         make = OBSERVERS[name]

@@ -1,9 +1,8 @@
-"""What a training may be given: a controller to correct, weights, entries, callbacks, threads."""
+"""What a training may be given: a controller to correct, weights of rewards, entries, threads."""
 
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +35,10 @@ def learner(tmp_path, algo="ppo", hyper=None, **options):
 
 
 def run(folder, algo="ppo", hyper=None, **options):
-    how = {name: options.pop(name) for name in ("num_threads", "callback") if name in options}
+    num_threads = options.pop("num_threads", 1)
     plan = Plan(algo, **{"observation": "compact", "steps": 128, "every": 64, **LAST, **options})
     given = tiny(algo) if hyper is None else hyper
-    return train(plan, folder, hyper=given, curve_seeds=(1, 2), **how)
+    return train(plan, folder, hyper=given, curve_seeds=(1, 2), num_threads=num_threads)
 
 
 def same(a: Policy, b: Policy) -> bool:
@@ -205,68 +204,6 @@ def test_an_agent_is_evaluated_in_the_world_of_its_training(tmp_path):
     assert trained_with([policy, other], {"current": "any"})["current"] == "any"
 
 
-CALLS: list[int] = []
-
-
-def count_steps(local, _global):
-    CALLS.append(local["self"].num_timesteps)
-    return len(CALLS) < 20
-
-
-def test_a_callback_sees_the_model_and_may_end_the_training(tmp_path):
-    CALLS.clear()
-    name = f"{__name__}:count_steps"
-    found = run(tmp_path / "run", steps=256, callback=name)
-    assert len(CALLS) == 20 and CALLS[:3] == [4, 8, 12]
-    assert found.curve[-1]["decisions"] < 256
-    for wrong, said in (
-        (f"{__name__}:nothing", "write module:function"),
-        ("os:sep", "no function"),
-    ):
-        with pytest.raises(AgentError, match=said):
-            run(tmp_path / "wrong", callback=wrong)
-    assert not (tmp_path / "wrong").exists()
-
-
-@pytest.mark.parametrize("algo", ["ppo", "sac", "recurrent_ppo", "ppo-residual", "ppo-mpc"])
-def test_a_training_starts_from_saved_weights(tmp_path, algo):
-    small = {**TINY} if algo != "sac" else {"n_envs": 4, "learning_starts": 32, "batch_size": 16}
-    hyper = hyperparameters(algo) | small
-    first = run(tmp_path / "first", algo, hyper).policy
-    found = learner(tmp_path / "b", algo, hyper, init=str(tmp_path / "first" / "policy.npz"))
-    again = found.policy({})
-    found.envs.close()
-    assert same(first, again)
-    assert run(tmp_path / "c", algo, hyper, init=str(tmp_path / "first")).curve[0][
-        "off_path_m"
-    ] == (pytest.approx(run(tmp_path / "first", algo, hyper).curve[-1]["off_path_m"]))
-
-
-def test_normalised_observations_go_over_into_a_net_without(tmp_path):
-    normal = tiny(normalize={"norm_obs": True, "norm_reward": False, "clip_obs": 1e5})
-    first = run(tmp_path / "first", hyper=normal).policy
-    assert first.sd.max() != 1.0
-    init = str(tmp_path / "first")
-    for hyper in (tiny(), normal):
-        found = learner(tmp_path / "b", hyper=hyper, init=init)
-        again = found.policy({})
-        found.envs.close()
-        obs = np.random.default_rng(0).normal(size=(8, 14)).astype(np.float32)
-        np.testing.assert_allclose(again.act(obs), first.act(obs), atol=2e-3)
-
-
-def test_weights_of_another_form_are_refused(tmp_path):
-    run(tmp_path / "first")
-    init = str(tmp_path / "first")
-    wide = tiny(policy_kwargs={"net_arch": [32], "log_std_init": -1.0})
-    with pytest.raises(AgentError, match="differ in shapes"):
-        learner(tmp_path / "a", hyper=wide, init=init)
-    with pytest.raises(AgentError, match="14 entries"):
-        learner(tmp_path / "b", observation="raw", init=init)
-    with pytest.raises(AgentError, match="differ in shapes"):
-        learner(tmp_path / "c", "sac", hyperparameters("sac") | {"n_envs": 4}, init=init)
-
-
 def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path):
     found = learner(tmp_path, "ppo-residual", task="docking")
     assert found.base == "dock-twin"
@@ -279,20 +216,17 @@ def test_docking_is_corrected_by_default_with_the_controller_that_docks(tmp_path
 def test_the_commands_train_and_evaluate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("tiny.toml").write_text("n_envs = 4\nn_steps = 16\nbatch_size = 32\nn_epochs = 1\n")
-    Path("watch.py").write_text("def say(local, _):\n    print('called')\n")
-    monkeypatch.setattr(sys, "path", [*sys.path])
     calm = ("--sea", "0", "--faults", "none")
     words = ("train", "--steps", 64, "--hyper", "tiny.toml", *calm)
     more = ("--reward-weight", "effort=2", "--vessel-spread", "0.1", "--num-threads", 2)
     more += ("--wind-from", "any", "--current", "0.3", "--seeds", "0-1")
     seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
-    said = " ".join(command(*words, *more, *seen, "--callback", "watch:say").output.split())
-    assert "called" in said and "64 teach little" in said and "ppo-3-entries, 64 decisions" in said
+    said = " ".join(command(*words, *more, *seen).output.split())
+    assert "ppo-3-entries, 64 decisions" in said
     policy = Policy.load("runs/ppo-3-entries-1")
     assert policy.settings["reward_weights"] == {"effort": 2.0}
     assert policy.settings["vessel_spread"] == 0.1
     assert policy.settings["world"] == {"wind_from_deg": "any", "current": 0.3}
-    command(*words, *more[:-2], *seen, "--init", "runs/ppo-3-entries-0", "--out", "more")
     rows = ("evaluate", "runs", "los", "runs/ppo-3-entries-0/policy.npz", "--seeds", "1-2", *calm)
     command(*rows, "--json", "episodes.json", "--current", "any")
     found = json.loads(Path("episodes.json").read_text())
@@ -304,7 +238,6 @@ def test_the_commands_train_and_evaluate(tmp_path, monkeypatch):
         (("--current", "strong"), "--current strong"),
         (("--obs", "raw", *seen), "--obs and --entries"),
         (("--entries", "twin_crosstrack"), "(did you mean 'twin_cross_track'?)"),
-        (("--init", "none.npz"), "none.npz"),
         (("--algo", "dqn"), "'dqn'"),
         (("--task", "swim"), "'swim'"),
         ((*seen, "--sea", "2", "--out", "runs"), "sea = 0"),

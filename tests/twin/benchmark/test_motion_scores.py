@@ -10,8 +10,8 @@ import pytest
 
 from twin import Log
 from twin.benchmark.motion_scores import (
-    MOTION_CHANNELS,
     MOTION_HORIZONS,
+    MOTION_UNITS,
     MotionTruth,
     auc,
     motion_rows,
@@ -116,9 +116,9 @@ def test_rows_name_channel_horizon_and_pool_the_quiet_spells() -> None:
     parts = [truth.score(constant(t, 0.0, 0.07, 0.3)) for t in starts]
     result = {"unit": UNIT, "motion": {"known": motion_table(parts)}}
     rows = list(motion_rows([result, {"unit": UNIT}]))
-    assert len(rows) == len(MOTION_CHANNELS) * len(MOTION_HORIZONS)
+    assert len(rows) == len(MOTION_UNITS) * len(MOTION_HORIZONS)
     assert {(row["channel"], row["horizon_s"]) for row in rows} == {
-        (channel, horizon) for channel in MOTION_CHANNELS for horizon in MOTION_HORIZONS
+        (channel, horizon) for channel in MOTION_UNITS for horizon in MOTION_HORIZONS
     }
     assert all(row["rmse"] >= 0.0 and row["n"] == len(starts) for row in rows)
     spans = list(quiet_rows([result, result]))

@@ -11,23 +11,14 @@ import numpy as np
 import pytest
 
 from twin import PREDICTORS
-from twin.benchmark import figures
-from twin.benchmark.figures import (
-    DeckHistory,
-    PredictorFigure,
-    RunFigure,
-    picture_of_log,
-    predictor_styles,
-)
-from twin.benchmark.figures.data import reference_of
+from twin.benchmark.figures.data import RunFigure, reference_of
+from twin.benchmark.figures.results import verdict_figure
 from twin.benchmark.figures.runs import panel_limits
-from twin.benchmark.figures.style import STYLES
+from twin.benchmark.figures.style import STYLES, predictor_styles
 from twin.benchmark.report import write_report
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
 from twin.predictors.base import Prediction
-
-PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def sail(name="run", truth=True, rows=400):
@@ -55,25 +46,19 @@ def predicted(t0, factor=1.0):
 
 
 def figure(factor=1.0, origins=(5.0, 8.0)):
-    return PredictorFigure([predicted(origin, factor) for origin in origins])
+    return [predicted(origin, factor) for origin in origins]
 
 
 def results(names=("persistence", "ukf"), **more):
     here = {"scenario": "turn", "case": "gps10", "fault": "gps10", "plan": "known"}
-    rows, summary = [], []
-    for k, name in enumerate(names):
-        rows += [
-            {**here, "predictor": name, "seed": 0, "channel": c, "horizon_s": h, "mae": h / (k + 1)}
-            for c in ("u", "along", "across", "psi")
-            for h in (1.0, 10.0)
-        ]
-        summary += [
-            {**here, "predictor": name, "metric": metric, "value": value, "low": None, "high": None}
-            for metric, value in (("mae", 2.5 - k), ("skill", -3.25 * k))
-        ]
+    summary = [
+        {**here, "predictor": name, "metric": metric, "value": value, "low": None, "high": None}
+        for k, name in enumerate(names)
+        for metric, value in (("mae", 2.5 - k), ("skill", -3.25 * k))
+    ]
     settings = {"identify_s": 5.0, "logs": ()}
     found = {"version": "1", "command": "usv-twin benchmark", "settings": settings}
-    return {**found, "rows": rows, "summary": summary, **more}
+    return {**found, "summary": summary, **more}
 
 
 def run(log, predictors, lost=()):
@@ -104,15 +89,11 @@ def whole(tmp_path_factory):
     """Return a report with every kind of picture and table, of many predictors and long names."""
     log = sail()
     names = [*PREDICTORS, "an-own-predictor"]
-    t = np.arange(5.0, 10.0, 0.25)
-    waves = np.sin(t)[:, None] * np.ones(4)
-    deck = DeckHistory(t, 0.9 * waves, 0.1 + 0.0 * waves, waves)
     every = {name: figure() for name in names}
-    rolls = {"ukf": PredictorFigure([predicted(8.0)], deck)}
     named = "a-recorded-run-of-a-boat_with_a_long_name"
     runs = [
         run(log, every, [(7.0, 12.0)]),
-        RunFigure("zigzag", "none", 0, log, [], rolls),
+        RunFigure("zigzag", "none", 0, log, [], {"ukf": figure(origins=(8.0,))}),
         RunFigure(named, "gps30", 12, sail(truth=False), [], {"ukf": figure()}),
     ]
     here = {"scenario": "turn", "case": "gps10", "predictor": "ukf", "plan": "hold"}
@@ -165,9 +146,9 @@ def test_report_is_complete_and_self_contained(whole):
     report, *pictures = whole
     base = "turn_gps10_seed0_"
     stems = {path.stem for path in pictures}
-    assert {"verdict", "turn_gps10_error", base + "track", base + "prediction1"} <= stems
-    assert {"zigzag_none_seed0_deck", "zigzag_none_seed0_track"} <= stems
-    assert len(set(pictures)) == 11
+    assert {"verdict", base + "track", base + "prediction1"} <= stems
+    assert "zigzag_none_seed0_track" in stems
+    assert len(set(pictures)) == 9
     for path in pictures:
         assert path.parent == report.parent / "pictures"
         assert ET.fromstring(path.read_text(encoding="utf-8")).tag.endswith("}svg")
@@ -213,20 +194,15 @@ def test_line_styles_differ_without_colours():
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-300, 1.0, 1.7e308, math.inf])
-def test_pictures_of_absurd_errors_have_limits(value):
-    rows = results()["rows"]
-    rows[0]["mae"] = value
-    styles = predictor_styles(("persistence", "ukf"))
-    drawn = [figures.error_figure("turn", rows, styles)]
+def test_the_picture_of_absurd_errors_has_limits(value):
     verdict = [
         {"predictor": name, "loss": "none", "position_m": size, "heading_deg": 1.0}
         for name, size in (("persistence", 1.0), ("ukf", value))
     ]
-    drawn.append(figures.verdict_figure(verdict, styles))
-    for picture in drawn:
-        picture.draw_without_rendering()
-        for ax in picture.axes:
-            assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
+    picture = verdict_figure(verdict, predictor_styles(("persistence", "ukf")))
+    picture.draw_without_rendering()
+    for ax in picture.axes:
+        assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
 
 
 @pytest.mark.parametrize("factor", [1e300, math.inf])
@@ -234,7 +210,7 @@ def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
     with np.errstate(all="ignore"):
         predictors = {"ukf": figure(origins=(5.0,)), "dsw-ukf": figure(factor, origins=(5.0,))}
     files = write_report(tmp_path, results(), [run(sail(), predictors)])
-    assert len(files) == 1 + 3
+    assert len(files) == 1 + 2
 
 
 def test_absurd_predictions_do_not_squash_the_truth():
@@ -244,10 +220,10 @@ def test_absurd_predictions_do_not_squash_the_truth():
     assert 10.0 < high < 25.0
 
 
-def test_same_input_gives_same_bytes_for_any_jobs(tmp_path):
+def test_same_input_gives_same_bytes(tmp_path):
     runs = [run(sail(), {"ukf": figure(origins=(8.0,))})]
     first, second = (
-        write_report(tmp_path / str(jobs), results(), runs, jobs=jobs, pdf=True) for jobs in (1, 2)
+        write_report(tmp_path / name, results(), runs, pdf=True) for name in ("one", "two")
     )
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
     for one, other in zip(first[1:], second[1:], strict=True):
@@ -271,8 +247,6 @@ def test_missing_values_are_dashes(tmp_path):
     found = results()
     for row in found["summary"]:
         row["value"] = math.nan if row["metric"] == "mae" else None
-    for row in found["rows"]:
-        row["mae"] = None
     files = write_report(tmp_path, found, [])
     assert page(files).count("<td>-</td>") == 4
     assert len(files) == 1
@@ -294,35 +268,25 @@ def test_recorded_run_without_truth():
 
 
 def test_a_predictor_may_lack_what_others_have(tmp_path):
-    predictors = {"lstm": PredictorFigure([]), "ukf": figure(origins=(8.0,))}
+    predictors = {"lstm": [], "ukf": figure(origins=(8.0,))}
     files = write_report(tmp_path, results(), [run(sail(), predictors)])
     stems = {path.stem.removeprefix("turn_gps10_") for path in files[1:]}
-    assert stems == {"error", "seed0_track", "seed0_prediction1"}
+    assert stems == {"seed0_track", "seed0_prediction1"}
 
 
 def test_equal_names_do_not_overwrite_each_other(tmp_path):
     runs = [run(sail(), {"ukf": figure(origins=())}) for _ in range(2)]
     files = write_report(tmp_path, results(), runs)
-    assert len(set(files)) == len(files) == 4
+    assert len(set(files)) == len(files) == 3
 
 
-@pytest.mark.parametrize("kind", ["truth", "recorded", "blind", "short"])
-def test_picture_of_log_is_drawn(tmp_path, kind):
-    log = sail(truth=kind != "recorded", rows=1 if kind == "short" else 400)
-    if kind == "blind":
-        log = Log(log.t, np.full_like(log.z, math.nan), log.cmd)
-    path = tmp_path / "new" / "run.png"
-    picture_of_log(log, path, [(7.0, 12.0)])
-    assert path.read_bytes().startswith(PNG)
-
-
-def test_matplotlib_is_imported_late_and_without_pyplot(tmp_path):
+def test_matplotlib_is_imported_late_and_without_pyplot():
     code = (
-        "import sys, numpy as np, twin.benchmark.figures as r; from pathlib import Path\n"
-        "from twin import Log\n"
+        "import sys, twin.benchmark.report\n"
+        "from twin.benchmark.figures.results import verdict_figure\n"
         "assert 'matplotlib' not in sys.modules\n"
-        f"log = Log(np.arange(3.), np.zeros((3, {len(MEASUREMENTS)})), np.zeros((3, 4)))\n"
-        f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"
+        "row = dict(predictor='ukf', loss='none', position_m=1.0, heading_deg=1.0)\n"
+        "verdict_figure([row], {'ukf': ('#000000', '-')})\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -26,7 +26,6 @@ from twin.benchmark.protocol import (
     units,
 )
 from twin.logs.log import Log, recorded_runs
-from twin.parallel import BACKENDS
 from twin.particulars import ParticularsError
 from twin.predictors.baselines import Persistence
 from twin.predictors.registry import PREDICTORS, PredictorError
@@ -47,9 +46,9 @@ SMALL = Settings(
 )
 
 
-def run_all(settings, folder, jobs=1, backend="loky"):
+def run_all(settings, folder, jobs=1):
     done = {}
-    for unit, result in bench.runs(settings, folder, jobs=jobs, backend=backend):
+    for unit, result in bench.runs(settings, folder, jobs=jobs):
         assert not isinstance(result, Exception), result
         done[unit] = result
     return bench.collect(settings, done, "test")
@@ -122,11 +121,11 @@ def test_continuing_gives_the_same(small, tmp_path, monkeypatch):
 def test_a_result_of_other_settings_is_not_reused(small):
     folder, _ = small
     unit = units(SMALL)[0]
-    assert bench.finished(SMALL, unit, folder, pictures=True) is not None
+    assert bench.finished(SMALL, unit, folder) is not None
     other = dataclasses.replace(SMALL, hs=0.6)
-    assert bench.finished(other, unit, folder, pictures=True) is None
+    assert bench.finished(other, unit, folder) is None
     bench.result_file(folder, unit).write_text("{broken")
-    assert bench.finished(SMALL, unit, folder, pictures=True) is None
+    assert bench.finished(SMALL, unit, folder) is None
 
 
 def test_a_result_of_other_particulars_is_not_reused(tmp_path):
@@ -175,10 +174,8 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     )
 
 
-@pytest.mark.parametrize("backend", ["loky", "threading", "dask", "ray"])
-def test_workers_change_nothing(small, tmp_path, backend):
-    pytest.importorskip(BACKENDS[backend][0], reason=f"{backend} is not installed")
-    assert run_all(SMALL, tmp_path, 2, backend) == small[1]
+def test_two_workers_change_nothing(small, tmp_path):
+    assert run_all(SMALL, tmp_path, 2) == small[1]
 
 
 def test_written_logs_can_be_read_back(small):
@@ -465,9 +462,7 @@ def test_a_rolling_boat_is_scored_in_roll_pitch_and_heave(tmp_path):
     assert all(row["rmse"] == pytest.approx(row["skill"] * row["sd"]) for row in rows.values())
     assert [row["span_s"] for row in results["quiet"]] == [2.0, 3.0, 5.0]
     (figure,) = bench.run_figures(settings, done)
-    deck = figure.predictors["ukf"].deck
-    assert deck.t[-1] <= 100.0
-    assert np.corrcoef(deck.mean[:, 0], deck.truth[:, 0])[0, 1] > 0.5
+    assert [forecast.t0 for forecast in figure.examples["ukf"]] == pytest.approx([80.0, 90.0])
 
 
 class Gaps(Persistence):

@@ -159,7 +159,6 @@ def test_a_feed_over_a_poor_link_is_twinned():
                 rows += 1
                 if rows % 20 == 0:
                     check(twin)
-                    feed.send(twin.estimate(), twin.predict("hold"), twin.health)
                     k = min(max(round(t / log.dt), 0), len(log) - 1)
                     off.append(np.hypot(*(twin.estimate().state[:2] - log.truth[k, :2])))
     assert rows > 0.9 * len(log)

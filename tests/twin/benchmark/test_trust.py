@@ -38,20 +38,16 @@ def boat() -> Particulars:
     return dataclasses.replace(particulars_of(Vessel.load("usv75")), design="")
 
 
-def simulated(seed: int) -> Log:
+@pytest.fixture(scope="module")
+def log() -> Log:
     """Return 150 s of random commands in a slight sea, without truth."""
     return simulate(
         "random",
         vessel=Vessel.load("usv75"),
         sea=SeaState(hs=0.3, wind=3.0),
         duration=150.0,
-        seed=seed,
+        seed=6,
     ).without_truth()
-
-
-@pytest.fixture(scope="module")
-def log() -> Log:
-    return simulated(6)
 
 
 def verdict_of(about: Particulars, log: Log, predictor: str = "ukf") -> Verdict:
@@ -84,11 +80,6 @@ def test_a_good_twin_is_ok_in_five_answers(good: Verdict) -> None:
     assert numbers["n"] == len(good.forecasts) == 41
     assert len(good.losses) == 8 and all(loss.t >= 74.0 for loss in good.losses)
     assert all(loss.after[-1] == pytest.approx(60.0, abs=1.0) for loss in good.losses)
-
-
-def test_good_twins_are_never_bad_and_mostly_ok(boat: Particulars) -> None:
-    grades = [verdict_of(boat, simulated(seed), "dsw-ukf-plus").grade for seed in range(4, 12)]
-    assert BAD not in grades and grades.count(OK) >= 6, grades
 
 
 def test_scoring_changes_nothing_in_the_twin(boat: Particulars, log: Log) -> None:
@@ -326,8 +317,9 @@ def test_a_prior_in_use_confirms_no_parameters(ran: TrustMeter) -> None:
     found = ran.verdict()
     answer = found.answers[3]
     assert answer.grade == DOUBTFUL and answer.numbers["prior_in_use"]
-    assert found.deviations[0][1] > 0.1, "of the best refit, not of the prior from itself"
-    assert found.to_json()["parameters_in_use"].startswith("the prior")
+    assert answer.numbers["in_use"].startswith("the prior")
+    off = max(answer.numbers["deviations_in_prior_sd"].values())
+    assert off > 0.1, "of the best refit, not of the prior from itself"
     near, prior = [("X_nu", 1.0)], ParametersInUse("the prior", True)
     assert parameter_answer(near, in_use=prior).grade == DOUBTFUL
     assert parameter_answer(near, in_use=prior, own_prior=True).grade == OK
@@ -373,8 +365,8 @@ def test_sensors_that_the_twin_left_out_are_graded(
     assert answer.grade == grade and sensor in answer.text
 
 
-def test_pulse_widths_that_nobody_converted_make_a_run_unfit(boat: Particulars, log: Log) -> None:
+def test_pulse_widths_that_nobody_converted_are_bad(boat: Particulars, log: Log) -> None:
     cmd = log.cmd.copy()
     cmd[:, :2] = 1500.0 + 20.0 * cmd[:, :2]
     found = verdict_of(boat, dataclasses.replace(log, cmd=cmd))
-    assert found.answers[4].grade == BAD and "commands excluded" in found.unfit
+    assert found.answers[4].grade == BAD and "commands excluded" in found.answers[4].text

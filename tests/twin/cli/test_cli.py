@@ -25,8 +25,6 @@ from twin.channels import STATE
 from twin.cli.benchmark import match_files
 from twin.cli.common import parse_seeds
 from twin.cli.main import expand_files
-from twin.cli.tables import LEGEND, print_results, print_scores
-from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
 from usv_gym import Vessel
@@ -34,14 +32,13 @@ from usv_gym import Vessel
 USV75 = (resources.files("usv_gym.vessel") / "vessels" / "usv75.toml").read_text(encoding="utf-8")
 
 
-def test_simulate_writes_log_particulars_and_picture(folder):
+def test_simulate_writes_log_and_particulars(folder):
     log = Log.read(folder / "run.csv")
     assert len(log) == 801
     assert log.truth is not None
     lost = (log.t >= 20.0) & (log.t < 25.0)
     assert np.isnan(log.z[lost, 0]).all()
     assert np.isfinite(log.z[log.t > 25.0, 0]).all()
-    assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
     assert "[particulars]" in (folder / "run.toml").read_text()
 
 
@@ -80,14 +77,6 @@ def test_commands_that_run_a_twin_print_which_sensor_was_not_ok(folder, tmp_path
     assert any(line.startswith("gyro excluded") for line in found["health_notes"])
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("boat", [{}, {"differential": True}, {"tanker": True}, {"biased": True}])
-def test_the_legend_explains_every_parameter(model, boat):
-    for name in structure_of(model, 7.0, 5.0, 20.0, **boat).parameters:
-        ends = [pattern for pattern in LEGEND if pattern != "[XYN]_" and re.match(pattern, name)]
-        assert len(ends) == 1, name
-
-
 def test_identify_on_an_episode_equals_the_wrapper(tmp_path):
     faults = [usv_gym.Fault("gps", 5.0, 4.0)]
     env = gym.make("USVTwin-v0", record=True, faults=faults, disable_env_checker=True)
@@ -104,26 +93,19 @@ def test_identify_on_an_episode_equals_the_wrapper(tmp_path):
     assert list(last["parameters_sd"].values()) == estimate.params_sd.tolist()
 
 
-def test_save_and_resume_equal_one_run(folder, tmp_path):
+def test_a_saved_twin_goes_on_as_in_one_run(folder, tmp_path):
     log, kept = folder / "run.csv", tmp_path / "boat.twin"
     run("identify", log, "-p", "ukf", "--json", tmp_path / "whole.json")
     first = run("identify", log, "-p", "ukf", "--until", "22", "--save", kept)
     assert f"the twin at t = 22.00 s: {kept}" in first.stdout.replace("\n", "")
-    run("identify", log, "--resume", kept, "--json", tmp_path / "later.json", "--save", kept)
-    whole, later = (json.loads((tmp_path / f"{n}.json").read_text()) for n in ("whole", "later"))
-    assert whole == later
+    twin = Twin.load(kept)
+    twin.run(Log.read(log).slice(22.01, 1e9))
+    whole = json.loads((tmp_path / "whole.json").read_text())
+    assert list(whole["state"].values()) == twin.estimate().state.tolist()
     seen = whole["identifiability"]
     assert seen["submodels"]["surge"]["effective_rank"] > 0.5
     assert seen["parameters"]["T_uL"]["merged_into"] == "T_uL + T_uR"
     assert not {"T_uL", "T_uR"} & set(seen["informed"])
-    for arguments, message in (
-        (("--resume", kept), "has no row after t = 40 s"),
-        (("--resume", kept, "-p", "persistence"), "predictor = persistence"),
-        (("--resume", kept, "--ship", "usv75"), "ship = usv75"),
-        (("--resume", log), "is no saved twin"),
-        (("--resume", tmp_path / "none"), "No such file"),
-    ):
-        assert message in run("identify", log, *arguments, check=2).stderr.replace("\n", " ")
 
 
 def test_predict_prints_intervals_and_writes_them(folder):
@@ -167,8 +149,6 @@ def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     most = 4.0 * last["motion_sd"]["roll_rad"]
     assert last["motion"]["roll_rad"] == pytest.approx(true[1], abs=most)
     assert 0.3 < last["sea"]["hs_m"] < 3.0
-    out = run("simulate", "turn", "--faults", "ahrs5@3", "--duration", "9", "-o", log)
-    assert "has no AHRS" in out.stdout.replace("\n", " ") + out.stderr.replace("\n", " ")
 
 
 def test_predict_reads_the_recorded_run():
@@ -245,7 +225,6 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("benchmark --cases base", ["--full"]),
         ("benchmark --full --cases storm", ["storm", "gps30", "sea4"]),
         ("benchmark --full --faults none", ["--cases"]),
-        ("benchmark --backend mpi", ["mpi", "loky", "dask"]),
         ("benchmark --predictors no_body:Mine", ["no_body:Mine", "working directory"]),
         ("benchmark --log none.csv", ["none.csv", "no such file"]),
         ("benchmark --log /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),
@@ -290,7 +269,6 @@ def test_benchmark_end_to_end(empty):
 def test_the_full_protocol_can_be_restricted(empty):
     parts = (
         "--full",
-        "--verbose",
         "--seeds",
         "200",
         "--scenarios",
@@ -299,25 +277,14 @@ def test_the_full_protocol_can_be_restricted(empty):
         "base,gps5,gps10",
     )
     options = ("--predictors", "persistence", "--out", "out", "--jobs", "1")
-    done = run("benchmark", *parts, *options, "--backend", "threading")
-    assert "case gps5" in done.stdout
+    done = run("benchmark", *parts, *options)
+    assert "report: out/report.html" in done.stdout
     results = json.loads(Path("out/results.json").read_text())
     assert [case["name"] for case in results["settings"]["cases"]] == ["base", "gps5", "gps10"]
     assert "rows" not in results and "runs" not in results
     assert {row["plan"] for row in results["summary"]} == {"known"}
     table = gzip.decompress(Path("out/rows.csv.gz").read_bytes()).decode().splitlines()
     assert len(table) == 1 + 3 * 6 * 4 and table[0].startswith("scenario,case,fault,sea,grade,seed")
-
-
-def test_a_predictor_that_cannot_run_has_a_row_of_its_own(capsys):
-    item = {"scenario": "turn", "fault": "none", "predictor": "ukf", "plan": "known"}
-    item |= {"metric": "mae", "value": 0.2, "low": None, "high": None}
-    found = {"summary": [item], "verdict": [], "notes": ["lstm is left out: no [torch]"]}
-    print_results(found, ["lstm"])
-    print_scores(found)
-    out = capsys.readouterr().out
-    assert "left out" in out.split("lstm", 1)[1].splitlines()[0]
-    assert "no [torch]" in out
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")

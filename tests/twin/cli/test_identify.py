@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 
@@ -10,7 +9,6 @@ import pytest
 
 from tests.twin.cli.command import run
 from twin import Log
-from twin.benchmark.trust import BAD, TrustMeter
 
 
 @pytest.fixture(scope="module")
@@ -30,58 +28,8 @@ def test_several_runs_are_combined(folder, second):
 
 
 def test_a_run_given_twice_counts_once(folder, tmp_path):
-    log, copy = folder / "run.csv", tmp_path / "copy.csv"
-    copy.write_bytes(log.read_bytes())
-    (tmp_path / "copy.toml").write_text((folder / "run.toml").read_text())
-    found = run("identify", log, copy, "--save-prior", tmp_path / "boat.prior")
-    assert "counts once" in found.stdout + found.stderr and "from 1 run(s)" in found.stdout
-
-
-def test_priors_are_not_made_of_faulty_runs(folder, tmp_path):
-    log = Log.read(folder / "run.csv").without_truth()
-    log.z[:, 5] *= -1.0
-    bad, kept = tmp_path / "bad.csv", tmp_path / "boat.prior"
-    log.write(bad)
-    (tmp_path / "bad.toml").write_text((folder / "run.toml").read_text())
-    found = run("identify", bad, "--save-prior", kept, check=2)
-    assert "gyro" in found.stdout
-    assert "--with-faulty" in found.stderr and not kept.exists()
-    found = run("identify", folder / "run.csv", bad, "--save-prior", kept)
-    assert "bad.csv: left out of the prior" in found.stdout + found.stderr
-    assert "from 1 run(s)" in found.stdout
-    out = run("identify", bad, "--save-prior", kept, "--force", "--with-faulty").stdout
-    assert "from 1 run(s)" in out
-
-
-def test_priors_are_not_made_of_runs_with_bad_forecasts(folder, tmp_path, monkeypatch):
-    """As of another boat; ``--with-faulty`` keeps them."""
-    verdict = TrustMeter.verdict
-
-    def bad(self, findings=()):
-        found = verdict(self, findings)
-        if self.log.name != "other":
-            return found
-        forecast = dataclasses.replace(found.answers[0], grade=BAD, text="9 m off")
-        return dataclasses.replace(found, answers=(forecast, *found.answers[1:]))
-
-    monkeypatch.setattr(TrustMeter, "verdict", bad)
-    log, other, kept = folder / "run.csv", tmp_path / "other.csv", tmp_path / "boat.prior"
-    Log.read(log).without_truth().slice(0.0, 30.0).write(other)
-    (tmp_path / "other.toml").write_text((folder / "run.toml").read_text())
-    out = run("identify", log, other, "--save-prior", kept).stdout
-    assert "from 1 run(s)" in out and "forecast: 9 m off" in out
-    run("identify", other, "--save-prior", tmp_path / "none.prior", check=2)
-    assert not (tmp_path / "none.prior").exists()
-    out = run("identify", log, other, "--save-prior", kept, "--force", "--with-faulty").stdout
-    assert "from 2 run(s)" in out
-
-
-def test_identify_names_the_parameters_in_use(folder, tmp_path):
-    out = run("identify", folder / "run.csv", "--json", tmp_path / "a.json").stdout
-    name = json.loads((tmp_path / "a.json").read_text())["parameters_in_use"]
-    assert name.startswith(("the refit", "the joint", "the mean", "the prior"))
-    title = " ".join(out[out.index("parameters (mean") :].split())
-    assert title.startswith(f"parameters (mean and standard deviation); in use: {name}")
+    log = folder / "run.csv"
+    assert "from 1 run(s)" in run("identify", log, log, "--save-prior", tmp_path / "p").stdout
 
 
 def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):
@@ -104,8 +52,8 @@ def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):
     assert (tmp_path / "2.prior").read_text() == (tmp_path / "4.prior").read_text()
     for arguments, words in (
         ((log, "--save-prior", kept), "--force"),
-        ((log, log, "--json", tmp_path / "x.json"), "--json: that is for one run"),
-        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
+        ((log, second, "--json", tmp_path / "x.json"), "--json: that is for one run"),
+        ((log, second, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
         ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
     ):
         assert words in run("identify", *arguments, check=2).stderr

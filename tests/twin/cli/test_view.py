@@ -34,7 +34,7 @@ def test_a_view_that_others_reach_says_what_is_open_and_has_a_token(tmp_path):
         process.send_signal(signal.SIGINT)
         complained = process.communicate(timeout=60)[1]
     assert "0.0.0.0 is open to other machines, without encryption" in "".join(said)
-    assert "steer it, restart it, and record logs" in "".join(said)
+    assert "use the controls of its page, and record logs" in "".join(said)
     assert answers == [403, 200, 403]
     assert process.returncode == 0
     assert "Traceback" not in complained and "rror" not in complained
@@ -44,7 +44,7 @@ def test_a_view_that_others_reach_says_what_is_open_and_has_a_token(tmp_path):
     ("options", "words"),
     [
         (["--token", "short"], "--token: use 8 to 128 letters"),
-        (["--allow-origin", "*"], "--allow-origin *: write scheme, name and port"),
+        (["--reply", "udp://:10111"], "--reply goes with --nmea"),
         (["--host", ""], "--host : cannot listen there"),
     ],
 )

@@ -181,7 +181,7 @@ FAULTS: dict[str, tuple[str, str, Fault]] = {
     "gyro too large": ("usv75", "scale:gyro", scaled(1.3, "gyro_radps")),
     "gyro off zero": ("otter", "bias:gyro", scaled(1.0, "gyro_radps", plus=0.03)),
     "gyro late": ("otter", "late:gyro", late(0.5, "gyro_radps")),
-    "gyro stops": ("usv75", "frozen:gyro_radps", during(50.0, 75.0, held("gyro_radps"))),
+    "gyro stops": ("usv75", "frozen:gyro", during(50.0, 75.0, held("gyro_radps"))),
     "compass in degrees": ("usv75", "unit:compass", heading_in_degrees),
     "compass to port": ("usv75", "sign:compass", scaled(-1.0, "compass_rad")),
     "compass from east": ("otter", "axes:compass", heading_from_east),

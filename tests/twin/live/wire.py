@@ -18,9 +18,9 @@ import numpy as np
 
 from twin.live.protocols.feed import Feed
 from twin.logs.log import Log, recorded_runs
-from twin.motion import HORIZONS, MotionEstimate, MotionForecast
+from twin.motion import MotionEstimate
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate, Prediction
+from twin.predictors.base import Estimate
 
 
 def load_example(path: str) -> Any:
@@ -130,26 +130,16 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return int(taken.getsockname()[1])
 
 
-def estimate_of(t: float) -> tuple[Estimate, Prediction]:
+def estimate_of(t: float) -> Estimate:
     s = np.array([100.0, -50.0, 0.3, 5.0, 0.5, 0.1])
     none = np.zeros(0)
-    estimate = Estimate(t, s, np.full(6, 0.5), none, none, True)
-    after = 0.25 * np.arange(1, 41)
-    mean = s + np.outer(after, [5.0, 1.0, 0.1, 0.0, 0.0, 0.0])
-    cov = np.eye(6) * (1.0 + after[:, None, None]) ** 2
-    cov[:, 0, 1] = cov[:, 1, 0] = 0.5 * cov[:, 0, 0]
-    return estimate, Prediction(t, s, np.eye(6), t + after, mean, cov)
+    return Estimate(t, s, np.full(6, 0.5), none, none, True)
 
 
-def with_motion(estimate: Estimate, prediction: Prediction) -> tuple[Estimate, Prediction]:
-    """Return the same with roll, pitch and heave, and their forecast."""
+def with_motion(estimate: Estimate) -> Estimate:
+    """Return the same with roll, pitch and heave."""
     now = MotionEstimate(estimate.t, 0.1, -0.05, 0.01, -0.02, 0.2, 0.25, 0.3, np.full(4, 0.01))
-    times = estimate.t + np.concatenate([[0.0], HORIZONS])
-    mean = np.tile([0.1, -0.05, 0.2, 0.3], (len(times), 1))
-    motion = MotionForecast(
-        estimate.t, times, mean, np.full_like(mean, 0.02), np.array([0.9, 0.8, 0.6])
-    )
-    return replace(estimate, motion=now), replace(prediction, motion=motion)
+    return replace(estimate, motion=now)
 
 
 @contextlib.contextmanager

@@ -254,17 +254,6 @@ def test_an_ambiguous_date_asks(tmp_path: Path, run: Log) -> None:
     assert again.exit_code == 2 and "--force" in again.output
 
 
-def test_the_answer_of_a_user_is_taken(
-    tmp_path: Path, run: Log, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    columns = {**LOGGERS["American"], "Time": lambda log: ["03/05/2024 09:30:00"] * len(log)}
-    path = write(tmp_path / "run.csv", run, columns)
-    monkeypatch.setattr("twin.cli.mapping._is_interactive", lambda: True)
-    result = CliRunner().invoke(app, ["mapping", str(path)], input="what\nmonth-first\n")
-    assert result.exit_code == 0, result.output
-    assert 'format = "%m/%d/%Y %H:%M:%S%.f"' in (tmp_path / "run.mapping.toml").read_text()
-
-
 def test_swapped_latitude_and_longitude_are_refused(tmp_path: Path, run: Log) -> None:
     path = write(tmp_path / "run.csv", run, LOGGERS["swapped"])
     assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0

@@ -215,7 +215,6 @@ def test_suspended_learning_changes_no_parameter(boat: Particulars, run: Log) ->
     for k in range(100):
         predictor.update(run.t[-1] + 0.05 * (k + 1), 0.05, moved[k], run.cmd[k])
     np.testing.assert_array_equal(predictor.ukf.xi, params)
-    assert math.isnan(predictor.window_s) or predictor.window_s == 0.0
     # it goes on from where the fixes are, and learns again
     predictor.suspend_learning(commands=False, motion=False)
     for k in range(200, 300):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +14,15 @@ from twin.predictors.base import Prediction
 from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 
 __all__ = [
-    "DeckHistory",
-    "PredictorFigure",
     "Reference",
     "RunFigure",
     "example_times",
     "examples_at",
     "gps_fixes",
-    "number_of",
     "reference_of",
-    "run_label",
 ]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class DeckHistory:
-    """Forecasts of roll, pitch, heave and deck speed for each moment, and the truth."""
-
-    t: Array  # (K,): times that were forecast, s
-    mean: Array  # (K, 4): rad, rad, m, m/s
-    sd: Array
-    truth: Array
-
-
-@dataclass(frozen=True)
-class PredictorFigure:
-    """What the pictures show of one predictor on one run."""
-
-    examples: list[Prediction]  # at most three, made at the same times by all predictors
-    deck: DeckHistory | None = None  # with six degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -59,7 +35,19 @@ class RunFigure:
     seed: int
     log: Log  # the run; without truth, the measurements stand in for it
     lost: list[tuple[float, float]]  # start and end of the times without GPS, s
-    predictors: dict[str, PredictorFigure]  # by name, in the order of the legends
+    # by predictor, in the order of the legends: at most three, made at the same times by all
+    examples: dict[str, list[Prediction]]
+
+    @property
+    def name(self) -> str:
+        """Scenario, fault and seed for names of files."""
+        return f"{self.scenario}_{self.fault}_seed{self.seed}"
+
+    @property
+    def label(self) -> str:
+        """Scenario, fault and seed for headings."""
+        fault = "no fault" if self.fault == "none" else f"fault {self.fault}"
+        return f"{self.scenario}, {fault}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -100,11 +88,6 @@ class Reference:
         t = self.t[column]
         rows = (t >= t0 - 1e-9) & (t <= t1 + 1e-9)
         return t[rows], self.v[column][rows]
-
-    def slice(self, t0: float, t1: float) -> Reference:
-        """Return the part between two times."""
-        times, values = zip(*(self.within(j, t0, t1) for j in range(6)), strict=True)
-        return Reference(self.is_truth, list(times), list(values))
 
 
 def reference_of(log: Log) -> Reference:
@@ -151,7 +134,7 @@ def gps_fixes(log: Log) -> Array:
 
 def example_times(run: RunFigure) -> list[float]:
     """Return the times at which the examples were made, s."""
-    times = {round(p.t0, 3) for figure in run.predictors.values() for p in figure.examples}
+    times = {round(p.t0, 3) for examples in run.examples.values() for p in examples}
     return sorted(times)[:3]
 
 
@@ -159,21 +142,7 @@ def examples_at(run: RunFigure, t0: float) -> dict[str, Prediction]:
     """Return the predictions made at a time, by predictor."""
     return {
         name: prediction
-        for name, figure in run.predictors.items()
-        for prediction in figure.examples
+        for name, examples in run.examples.items()
+        for prediction in examples
         if abs(prediction.t0 - t0) < 2e-3
     }
-
-
-def run_label(run: RunFigure) -> str:
-    """Return scenario, fault and seed for headings."""
-    fault = "no fault" if run.fault == "none" else f"fault {run.fault}"
-    return f"{run.scenario}, {fault}, seed {run.seed}"
-
-
-def number_of(row: Mapping[str, Any], key: str) -> float:
-    """Return a number of a row of results; NaN where there is none."""
-    value = row.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-        return math.nan
-    return float(value)

@@ -1,10 +1,9 @@
-"""Pictures of a single run: its track, a forecast, the deck's motion."""
+"""Pictures of a single run: its track, and a forecast."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +16,10 @@ from twin.benchmark.figures.data import (
     examples_at,
     gps_fixes,
     reference_of,
-    run_label,
 )
 from twin.benchmark.figures.style import (
     BLACK,
-    DASHED,
     GREY,
-    STYLES,
     WIDTH,
     YELLOW,
     Entry,
@@ -35,7 +31,6 @@ from twin.benchmark.figures.style import (
     lost_within,
     new_figure,
     patch,
-    picture_bytes,
     predictor_entries,
     set_ticks,
     set_title,
@@ -44,27 +39,16 @@ from twin.benchmark.figures.style import (
 from twin.channels import PSI, R, U, V, X, Y
 from twin.logs.log import Log
 from twin.predictors.base import Z90, Prediction
-from usv_kernel.channels import GPS_VX, GPS_VY, GYRO
-from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
-    "SHOWN_AHEAD",
-    "deck_figure",
     "panel_limits",
-    "picture_of_log",
     "prediction_figure",
     "track_figure",
 ]
-
-SHOWN_AHEAD = 2.0
-"""The picture of the deck shows what was forecast so long before, s."""
-
-DECK_SPAN_S = 40.0
-"""Length of the picture of the deck, s."""
 
 POINTS_MAX = 100
 """Of more GPS fixes in a panel, about so many are drawn."""
@@ -82,14 +66,6 @@ STATES = {
 }
 """Titles by state, in the order of Figures 12 and 16 of Qu et al. 2025."""
 
-DECK = (
-    ("roll (deg)", 180.0 / math.pi),
-    ("pitch (deg)", 180.0 / math.pi),
-    ("heave, down (m)", 1.0),
-    ("vertical speed of the deck point, down (m/s)", 1.0),
-)
-"""Title and factor to its unit of each channel of the deck's motion."""
-
 Limits = tuple[float, float]
 
 
@@ -105,13 +81,13 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
         entries.append((patch(YELLOW), "stretch without GPS"))
     if starts:
         entries.append((dots(BLACK, "o"), "predictions start"))
-    shown = [name for name, figure in run.predictors.items() if figure.examples]
+    shown = [name for name, examples in run.examples.items() if examples]
     entries += predictor_entries(shown, styles)
 
     rows: list[list[Any]] = [[0, 0]]
     rows += [[k, k + 1 if k < len(starts) else "."] for k in range(1, len(starts) + 1, 2)]
     size = (WIDTH, 3.6 + 2.3 * (len(rows) - 1))
-    fig, axes = new_figure("Track", run_label(run), entries, rows, size)
+    fig, axes = new_figure("Track", run.label, entries, rows, size)
     _draw_track(axes[0], reference, fixes, log, run.lost)
     set_ticks(axes[0], 6, 6, "east (m)")
     set_title(axes[0], "the whole run, north up")
@@ -123,8 +99,9 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
             mark = axes[0].annotate(str(number), (y, x), weight="bold", **place)
             mark.set_in_layout(False)
         ax = axes[number]
-        near = reference.slice(start - 2.0, start + 10.0)
-        _draw_track(ax, near, gps_fixes(log.slice(start - 2.0, start + 10.0)), log, run.lost)
+        part = log.slice(start - 2.0, start + 10.0)
+        near = reference_of(part)
+        _draw_track(ax, near, gps_fixes(part), log, run.lost)
         _draw_predictions(ax, run, start, styles, reference)
         _set_box(ax, *_box_around(near.path, 0.15))
         set_ticks(ax, 3, 4, "east (m)")
@@ -188,7 +165,7 @@ def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: R
     order = list(STATES)
     mosaic = [order[0:2], order[2:4], order[4:6]]
     title = f"Predicted at t = {round(start, 1):g} s"
-    fig, axes = new_figure(title, run_label(run), entries, mosaic, (WIDTH, 4.8))
+    fig, axes = new_figure(title, run.label, entries, mosaic, (WIDTH, 4.8))
     speed = float(np.median(reference.speed)) if len(reference.v[U]) else 1.0
     least = {X: 2 * speed, Y: 2 * speed, PSI: 10.0, U: 0.25 * speed, V: 0.15 * speed, R: 3.0}
     for column, title in STATES.items():
@@ -246,95 +223,3 @@ def _interval(prediction: Prediction, column: int) -> tuple[Array, Array]:
 def _drawable(values: Array) -> Array:
     """Return values without numbers that cannot be drawn."""
     return np.where(np.abs(values) < 1e9, values, math.nan)
-
-
-# the motion of the deck
-def deck_figure(run: RunFigure, name: str) -> Figure | None:
-    """Draw the true motion, and the forecasts of a predictor's twin; None where there are none."""
-    deck = run.predictors[name].deck
-    if deck is None or not len(deck.t):
-        return None
-    begin = float(deck.t[0])
-    end = min(float(deck.t[-1]), begin + DECK_SPAN_S)
-    colour = STYLES["dsw-ukf-plus"][0]
-    entries: list[Entry] = [
-        (line(BLACK, width=2.0), "true"),
-        (line(colour), f"forecast {SHOWN_AHEAD:g} s before"),
-        (patch(colour, 0.25), "its 90 % interval"),
-    ]
-    mosaic = [[k] for k in range(len(DECK))]
-    title = f"Motion on the waves, forecast {SHOWN_AHEAD:g} s ahead by the twin with {name}"
-    fig, axes = new_figure(title, run_label(run), entries, mosaic, (WIDTH, 6.4))
-    rows = (deck.t >= begin) & (deck.t <= end)
-    for k, (text, unit) in enumerate(DECK):
-        ax, t = axes[k], deck.t[rows]
-        mean, half = unit * deck.mean[rows, k], unit * Z90 * deck.sd[rows, k]
-        truth = unit * deck.truth[rows, k]
-        set_title(ax, text)
-        ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.25, lw=0, zorder=1)
-        ax.plot(t, truth, color=BLACK, lw=2.0, zorder=3)
-        ax.plot(t, mean, color=colour, lw=1.5, zorder=4)
-        ax.set_xlim(begin, end)
-        ax.set_ylim(*limits_of([truth, mean - half, mean + half], 1e-3, 0.05))
-        set_ticks(ax, 8, 4, "time (s)" if k == len(DECK) - 1 else None)
-    return fig
-
-
-# a log
-def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
-    """Draw track, speed, yaw rate, heading and commands of a log to a PNG file.
-
-    ``lost`` has the start and end of the times without GPS, s.
-    """
-    reference, fixes = reference_of(log), gps_fixes(log)
-    left, right = line(STYLES["ukf"][0]), line(STYLES["dsw-ukf-plus"][0], DASHED)
-    entries: list[Entry] = [(line(BLACK), reference.label)]
-    if reference.is_truth and len(fixes):
-        entries.append((dots(GREY), "measured"))
-    if lost_within(lost, log):
-        entries.append((patch(YELLOW), "no GPS"))
-    entries += [(left, "left"), (right, "right")]
-    commands = [["track"]] * 4 + [["shaft"], ["angle"]]
-    motion = [["speed"], ["yaw"], ["heading"]]
-    fig, axes = new_figure("Run", log.name, entries, [[commands, motion]], (9.6, 6.2))
-    set_title(axes["track"], "track, north up")
-    _draw_track(axes["track"], reference, fixes, log, lost)
-    _set_box(axes["track"], *_box_around(reference.path, 0.08))
-    set_ticks(axes["track"], 6, 5, "east (m)")
-
-    solid: dict[str, Any] = {"color": BLACK, "lw": 1.2, "zorder": 3}
-    dot: dict[str, Any] = {"color": GREY, "ls": "", "marker": ".", "ms": 2.5, "zorder": 2}
-    looks = [{"color": item.get_color(), "ls": item.get_linestyle()} for item in (left, right)]
-    speed = np.hypot(log.z[:, GPS_VX], log.z[:, GPS_VY])
-    curves = {
-        "speed": [(reference.t[U], reference.speed, solid), (log.t, speed, dot)],
-        "yaw": [(reference.t[R], np.degrees(reference.v[R]), solid)],
-        "heading": [(reference.t[PSI], np.degrees(reference.v[PSI]), solid)],
-        "shaft": [(log.t, log.cmd[:, k], looks[k]) for k in (0, 1)],
-        "angle": [(log.t, np.degrees(log.cmd[:, 2 + k]), looks[k]) for k in (0, 1)],
-    }
-    if reference.is_truth:
-        curves["yaw"].append((log.t, np.degrees(log.z[:, GYRO]), dot))
-    else:
-        there = np.isfinite(speed)
-        curves["speed"] = [(log.t[there], speed[there], solid)]
-    most = float(np.abs(log.cmd[:, :2]).max()) if len(log) else 0.0
-    panels = {  # title, least range
-        "speed": ("speed over ground (m/s)", 0.0),
-        "yaw": ("yaw rate (deg/s)", 2.0),
-        "heading": ("heading (deg)", 10.0),
-        "shaft": ("shaft speed, command (rev/s)", max(0.2 * most, 0.1)),
-        "angle": ("drive angle, command (deg)", 10.0),
-    }
-    for name, (title, least) in panels.items():
-        ax = axes[name]
-        set_title(ax, title)
-        for t, values, look in curves[name]:
-            ax.plot(t, values, **look)
-        shade_lost(ax, lost)
-        if len(log):
-            ax.set_xlim(float(log.t[0]), float(log.t[-1]) + (len(log) < 2))
-        ax.set_ylim(*limits_of([curve[1] for curve in curves[name]], least, 0.1))
-        label = "time (s)" if name in ("heading", "angle") else None
-        set_ticks(ax, 6, 3 if name in ("shaft", "angle") else 5, label)
-    write_whole(Path(path), picture_bytes(fig, "png"))

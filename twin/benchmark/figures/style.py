@@ -76,11 +76,11 @@ def line(colour: str, style: Any = "-", width: float = 1.8) -> Any:
     return Line2D([], [], color=colour, ls=style, lw=width)
 
 
-def dots(colour: str, marker: str = ".", fill: Any = "full") -> Any:
+def dots(colour: str, marker: str = ".") -> Any:
     """Return markers for a legend."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], color=colour, ls="", marker=marker, ms=6, fillstyle=fill)
+    return Line2D([], [], color=colour, ls="", marker=marker, ms=6)
 
 
 def patch(colour: str, alpha: float = 1.0) -> Any:
@@ -183,10 +183,10 @@ def limits_of(parts: Iterable[Array], least: float, margin: float) -> tuple[floa
 
 # files
 def picture_bytes(fig: Figure, kind: str) -> bytes:
-    """Return a picture as a file of a kind: png, svg or pdf; equal pictures are equal bytes."""
+    """Return a picture as a file of a kind, svg or pdf; equal pictures are equal bytes."""
     import matplotlib
 
-    no_date = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    no_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     buffer = io.BytesIO()
     with matplotlib.rc_context(
         {

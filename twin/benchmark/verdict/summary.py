@@ -5,16 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.metrics import BASELINE, ORACLE, interval_of, resampled
-from twin.benchmark.protocol import TYPICAL
-
-if TYPE_CHECKING:
-    from twin.benchmark.protocol import Settings
+from twin.benchmark.protocol import TYPICAL, Settings
 
 __all__ = [
     "ORACLE",

@@ -6,11 +6,30 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from twin.benchmark.figures.data import number_of
+import numpy as np
 
-__all__ = ["best_text", "grouped", "interval", "number"]
+from twin.benchmark.metrics import ORACLE
+
+__all__ = ["best_text", "grouped", "interval", "is_best", "number", "number_of"]
 
 Row = Mapping[str, Any]
+
+IDEAL = {"coverage90": 0.9, "motion_coverage90": 0.9}
+"""Metrics whose best value is neither the smallest nor the largest."""
+
+LARGEST = ("skill", "brier_skill", "auc")
+"""Metrics whose best value is the largest."""
+
+NO_RACE = ("motion_sd", "motion_held", "base_rate", "auc_now")
+"""What the sea does, and what the present state says: no predictor's."""
+
+
+def number_of(row: Row, key: str) -> float:
+    """Return a number of a row of results; NaN where there is none."""
+    value = row.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        return math.nan
+    return float(value)
 
 
 def number(value: float | None) -> str:
@@ -35,21 +54,34 @@ def interval(row: Row, name: str = "") -> str:
     return "" if math.isnan(low) or math.isnan(high) else f"[{number(low)}, {number(high)}]"
 
 
-def best_text(metric: str, rows: Sequence[Row]) -> str | None:
-    """Return the best value of a metric as it is printed; None if nothing is compared."""
-    values = [v for v in (number_of(row, "value") for row in rows) if math.isfinite(v)]
-    if len({number(value) for value in values}) < 2:
+def best_text(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | None:
+    """Return the best value of a metric times a factor, as printed; None if nothing is compared.
+
+    The oracle knows the true boat and takes no part.
+    """
+    if metric in NO_RACE:
         return None
-    if metric == "skill":
-        return number(max(values))
-    if metric == "coverage90":
-        return number(min(values, key=lambda value: abs(value - 0.9)))
-    return number(min(values))
+    values = [factor * number_of(row, "value") for row in rows if row["predictor"] != ORACLE]
+    values = [value for value in values if math.isfinite(value)]
+    if len(values) < 2:
+        return None
+    if metric in IDEAL:
+        return number(min(values, key=lambda value: abs(value - factor * IDEAL[metric])))
+    return number(max(values) if metric in LARGEST else min(values))
+
+
+def is_best(row: Row, best: str | None, factor: float = 1.0) -> bool:
+    """Return whether a row has the best value, as :func:`best_text` prints it."""
+    own = number(factor * number_of(row, "value"))
+    return best is not None and row["predictor"] != ORACLE and own == best
 
 
 def grouped(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Return rows with the same values of some keys together, in their order."""
+    """Return rows with the same values of some keys together, in their order.
+
+    A key that a row lacks counts as an empty text.
+    """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+        groups.setdefault(tuple(row.get(key, "") for key in keys), []).append(row)
     return groups

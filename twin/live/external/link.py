@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,10 @@ from twin.channels import U
 from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.receiver import ReceiverFeed
-from twin.live.sessions.feed import FeedSession
-from twin.predictors.base import Estimate, Prediction
+from twin.predictors.base import Estimate
 from twin.predictors.baselines import hold_velocity
-from usv_gym.vessel.vessel import Vessel
 
-__all__ = ["Link", "LinkSession"]
+__all__ = ["Link"]
 
 Array = NDArray[np.float64]
 
@@ -63,26 +60,3 @@ def carried(estimate: Estimate, age: float) -> Estimate:
         return estimate
     state = hold_velocity(estimate.state, estimate.state[U:], np.array([age]))[0]
     return dataclasses.replace(estimate, t=estimate.t + age, state=state)
-
-
-class LinkSession(FeedSession):
-    """A real boat whose twin is external navigation, for the page."""
-
-    offers = "restart its twin, and record logs to the folder of --out"
-
-    feed: ReceiverFeed
-
-    def __init__(self, link: Link, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
-        super().__init__(link.feed, twin, vessel, folder)
-        self.link = link
-
-    def _took(self, t: float, z: Array) -> None:
-        self.link.take(self.monitor.twin, t, z)
-
-    def _reply(self, prediction: Prediction) -> None:
-        """Send nothing more: ODOMETRY goes out with each row."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """State of external navigation, and what came over the wire, in words."""
-        return (f"external navigation: {self.link.navigation.status}", *super().notes)

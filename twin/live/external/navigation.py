@@ -7,34 +7,22 @@ failsafe, which comes after 8 s. When the GPS is back and agrees with the twin, 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import PSI, U, V, X, Y
+from twin.channels import U, V, X, Y
 from twin.live.external.peer import ACCEPTED, HOLD, AutopilotPeer
-from twin.live.protocols.mavlink import (
-    ONBOARD,
-    ORIGIN_MESSAGE,
-    REQUEST_MESSAGE,
-    JumpCounter,
-    MavlinkWriter,
-)
+from twin.live.protocols.mavlink import ONBOARD, JumpCounter, MavlinkWriter
 from twin.logs.datum import Plane
 from twin.predictors.base import Estimate
 from usv_kernel.channels import GPS_X, GPS_Y
-from usv_kernel.errors import UsvTwinError, check_number
 
-__all__ = ["KINDS", "STATES", "ExternalError", "ExternalNavigation", "ExternalOptions"]
+__all__ = ["STATES", "ExternalNavigation"]
 
 Array = NDArray[np.float64]
-
-KINDS = ("odometry", "position", "gps-input")
-"""ODOMETRY; the same, but the EKF takes the place alone; GPS_INPUT, in place of a receiver."""
 
 STATES = {
     "waiting": "the twin does not know the boat well enough to take over",
@@ -46,8 +34,11 @@ STATES = {
 }
 """States of external navigation, and what they mean."""
 
-SET_SOURCE, SET_MODE = 42007, 176
-"""Commands MAV_CMD_SET_EKF_SOURCE_SET and MAV_CMD_DO_SET_MODE."""
+SET_SOURCE, REQUEST_MESSAGE = 42007, 512
+"""Commands MAV_CMD_SET_EKF_SOURCE_SET and MAV_CMD_REQUEST_MESSAGE."""
+
+ORIGIN_MESSAGE = 49
+"""GPS_GLOBAL_ORIGIN."""
 
 GPS_SOURCE, TWIN_SOURCE = 1, 2
 """Source sets of the EKF."""
@@ -55,50 +46,22 @@ GPS_SOURCE, TWIN_SOURCE = 1, 2
 HEARTBEAT, ORIGIN_EVERY, RETRY = 1.0, 5.0, 0.5
 """Times between heartbeats, questions for the origin, and orders without an answer, s."""
 
+LOSS_S = 1.0
+"""Time without a fix after which the GPS counts as lost."""
+
 FIXES_MISSED = 2.5
-"""So many times between two fixes without one are a loss, if that is longer than ``loss_s``."""
+"""So many times between two fixes without one are a loss, if that is longer than LOSS_S."""
 
 LONGEST_INTERVAL = 2.0
 """Longest time between two fixes that is taken for that of the receiver, s."""
 
-FIX_EVERY = 0.2
-"""Time between two GPS_INPUT, s."""
-
 MOVES = 0.3
 """Speed from which on a boat teaches its twin something, m/s."""
 
-FAILSAFE = "EKF failsafe"
-"""What ArduPilot says when its EKF fails."""
-
-RESUME_AFTER = 1.5
-"""An autopilot refuses a mode for a second after its failsafe is cleared, s."""
+AGREE_M, AGREE_S = 2.0, 3.0
+"""Twin and GPS agree when they have been so near to each other for so long."""
 
 _SLACK = 1e-6
-
-
-class ExternalError(UsvTwinError):
-    """Options that cannot be used; the message names the value and its range."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExternalOptions:
-    """How the twin is used."""
-
-    kind: str = "odometry"  # one of KINDS
-    loss_s: float = 1.0  # time without a fix after which the GPS counts as lost, s
-    moving_s: float = 30.0  # time under way before the twin may take over, s
-    ready_sd: float = 5.0  # largest standard deviation of the place to take over with, m
-    max_sd: float = 20.0  # the twin gives up above it, m
-    agree_m: float = 2.0  # twin and GPS agree when they are so near, m ...
-    agree_s: float = 3.0  # ... for so long, s
-    resume: bool = False  # whether to leave Hold, if the failsafe of the EKF was faster
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ExternalError(f"external = {self.kind!r}: use one of {', '.join(KINDS)}")
-        for item in dataclasses.fields(self):
-            if item.name not in ("kind", "resume"):
-                check_number(item.name, getattr(self, item.name), 0.0, 1e6, ExternalError)
 
 
 class ExternalNavigation:
@@ -108,10 +71,12 @@ class ExternalNavigation:
 
     Parameters
     ----------
-    options : ExternalOptions
-        How.
     note : callable, optional
         Called with the time (s) and a text for each event.
+    moving_s : float
+        Time under way before the twin may take over, s.
+    ready_sd_m, max_sd_m : float
+        Largest standard deviation of the place to take over with, and to keep on with, m.
 
     Attributes
     ----------
@@ -127,11 +92,14 @@ class ExternalNavigation:
 
     def __init__(
         self,
-        options: ExternalOptions | None = None,
         note: Callable[[float, str], None] | None = None,
+        *,
+        moving_s: float = 30.0,
+        ready_sd_m: float = 5.0,
+        max_sd_m: float = 20.0,
     ) -> None:
-        self.options = options or ExternalOptions()
         self.note = note or (lambda t, text: None)
+        self.moving_s, self.ready_sd_m, self.max_sd_m = moving_s, ready_sd_m, max_sd_m
         self.peer = AutopilotPeer()
         self.writer = MavlinkWriter(component=ONBOARD)
         self._jumps = JumpCounter()
@@ -143,14 +111,13 @@ class ExternalNavigation:
         self.state, self.why = "waiting", "no estimate yet"
         self.source = GPS_SOURCE
         self._wanted = GPS_SOURCE
-        self._asked = self._greeted = self._origin_asked = self._fix_sent = -math.inf
+        self._asked = self._greeted = self._origin_asked = -math.inf
         self._fixed = math.nan
         self._interval = 0.2
         self._moving, self._last = 0.0, math.nan
         self._agreed: float | None = None
         self._mode_before: int | None = None
-        self._held = math.nan
-        self._refused = False
+        self._fell = self._refused = False
 
     @property
     def status(self) -> str:
@@ -196,7 +163,7 @@ class ExternalNavigation:
     @property
     def gps_lost(self) -> bool:
         """Whether the fixes have stopped."""
-        limit = max(self.options.loss_s, FIXES_MISSED * self._interval)
+        limit = max(LOSS_S, FIXES_MISSED * self._interval)
         return not self._last - self._fixed <= limit + _SLACK
 
     def _decide(self, t: float, fix: Array | None, estimate: Estimate, known: bool) -> None:
@@ -232,13 +199,10 @@ class ExternalNavigation:
         """Stay the source of the EKF, hand back, or give up."""
         if lost:
             self._agreed = None
-            if sd > self.options.max_sd:
+            if sd > self.max_sd_m:
                 self._want(GPS_SOURCE)
-                self._go(
-                    t,
-                    "gave up",
-                    f"the place is known to {sd:.1f} m only, more than {self.options.max_sd:g} m",
-                )
+                why = f"the place is known to {sd:.1f} m only, more than {self.max_sd_m:g} m"
+                self._go(t, "gave up", why)
             else:
                 self._go(t, "aiding", "")
             return
@@ -253,11 +217,11 @@ class ExternalNavigation:
         """Return what the twin lacks to take over, and the standard deviation of its place, m."""
         if not known:
             return "the twin has no estimate yet", math.inf
-        sd, options = float(max(estimate.sd[X], estimate.sd[Y])), self.options
-        if not sd <= options.ready_sd:
+        sd = float(max(estimate.sd[X], estimate.sd[Y]))
+        if not sd <= self.ready_sd_m:
             return f"its place is known to {sd:.1f} m only", sd
-        if self._moving < options.moving_s:
-            return f"it has seen {self._moving:.0f} of {options.moving_s:g} s under way", sd
+        if self._moving < self.moving_s:
+            return f"it has seen {self._moving:.0f} of {self.moving_s:g} s under way", sd
         return "", sd
 
     def _agrees(self, t: float, fix: Array | None, estimate: Estimate, lost: bool) -> bool:
@@ -267,11 +231,11 @@ class ExternalNavigation:
             return False
         if fix is not None:
             apart = math.dist(fix, estimate.state[:2])
-            if not apart <= self.options.agree_m:
+            if not apart <= AGREE_M:
                 self._agreed = None
             elif self._agreed is None:
                 self._agreed = t
-        return self._agreed is not None and t - self._agreed >= self.options.agree_s - _SLACK
+        return self._agreed is not None and t - self._agreed >= AGREE_S - _SLACK
 
     def _want(self, source: int) -> None:
         """Let the EKF change to a source set, until it has."""
@@ -282,19 +246,16 @@ class ExternalNavigation:
     def _note_mode(self) -> None:
         """Keep the mode that the autopilot has when the GPS is lost."""
         self._mode_before = self.peer.mode
-        self.peer.texts.clear()
+        self.peer.failed = False
 
     def _watch_mode(self, t: float) -> None:
-        """Say so when the failsafe of the EKF was faster, and go back if that is wanted."""
+        """Say so when the failsafe of the EKF was faster."""
         away = self.state in ("lost", "aiding", "returning", "gave up")
-        if not away:
-            self._held = math.nan
-        failed = any(FAILSAFE in text for text in self.peer.texts)
-        fell = failed and self.peer.mode == HOLD and self._mode_before not in (HOLD, None)
-        if away and fell and math.isnan(self._held):
-            self._held = t
-            then = "will go back" if self.options.resume else "stays there; --resume goes back"
-            self.note(t, f"the autopilot fell to Hold, as its EKF failed, and {then}")
+        held = self.peer.mode == HOLD and self._mode_before not in (HOLD, None)
+        fell = away and self.peer.failed and held
+        if fell and not self._fell:
+            self.note(t, "the autopilot fell to Hold, as its EKF failed, and stays there")
+        self._fell = fell or (away and self._fell)
 
     def _go(self, t: float, state: str, why: str) -> None:
         """Enter a state, and say so."""
@@ -314,13 +275,7 @@ class ExternalNavigation:
             yield write.heartbeat()
         if system is None:
             return
-        write.system = system
-        if self.options.kind == "gps-input":
-            self.source = self._wanted  # there is nothing to switch
-            if known and plane is not None and t - self._fix_sent >= FIX_EVERY - _SLACK:
-                self._fix_sent = t
-                yield self._fix(estimate, plane, stamp)
-            return
+        write.link.srcSystem = system
         if t - self._origin_asked >= (HEARTBEAT if self.peer.origin is None else ORIGIN_EVERY):
             self._origin_asked = t
             yield write.command(system, REQUEST_MESSAGE, ORIGIN_MESSAGE)
@@ -335,11 +290,6 @@ class ExternalNavigation:
                 resets=self._jumps.take(estimate.t, estimate.state),
                 quality=-1 if self.state == "gave up" else 100,
             )
-        back = self._held + RESUME_AFTER
-        fell = self.peer.mode == HOLD and self.source == TWIN_SOURCE and t >= back
-        if self.options.resume and fell and self._mode_before is not None:
-            self._held = t
-            yield write.command(system, SET_MODE, 1, self._mode_before)
 
     def _switch(self, t: float, system: int) -> Iterator[bytes]:
         """Yield the order to change the source set, again until it is confirmed."""
@@ -353,16 +303,3 @@ class ExternalNavigation:
                 del self.peer.results[SET_SOURCE]
             self._asked = t
             yield self.writer.command(system, SET_SOURCE, self._wanted)
-
-    def _fix(self, estimate: Estimate, plane: Plane, stamp: float) -> bytes:
-        """Return the estimate as a receiver would give it."""
-        x, y, psi, u, v = estimate.state[: V + 1].tolist()
-        c, s = math.cos(estimate.state[PSI]), math.sin(psi)
-        latitude, longitude = plane.degrees(x, y)
-        return self.writer.fix(
-            stamp,
-            (float(latitude), float(longitude)),
-            (u * c - v * s, u * s + v * c),
-            (float(max(estimate.sd[:2])), float(max(estimate.sd[[U, V]]))),
-            valid=self.state != "gave up",
-        )

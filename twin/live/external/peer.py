@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-from twin.live.protocols.sockets import Address, needed, open_socket
+from twin.live.protocols.mavlink import AUTOPILOT, new_parser
+from twin.live.protocols.sockets import Address, open_socket
 
 __all__ = ["ACCEPTED", "HOLD", "AutopilotPeer", "MavlinkPort"]
-
-AUTOPILOT = 1
-"""Component MAV_COMP_ID_AUTOPILOT1."""
 
 ARMED = 128
 """Flag MAV_MODE_FLAG_SAFETY_ARMED."""
@@ -22,9 +19,8 @@ HOLD = 4
 ACCEPTED = 0
 """MAV_RESULT_ACCEPTED."""
 
-TEXTS = 50
-"""So many texts are kept."""
-
+FAILSAFE = "EKF failsafe"
+"""What ArduPilot says when its EKF fails."""
 
 DATAGRAMS_MAX = 200
 """So many datagrams are read at most in one call; the rest waits for the next."""
@@ -46,8 +42,8 @@ class AutopilotPeer:
         Result of the last answer to each command that it answered.
     parameters : dict of str to float
         Parameters that it has stated.
-    texts : deque of str
-        What it said to the operator, the last ones.
+    failed : bool
+        Whether it said that its EKF has failed.
     """
 
     def __init__(self) -> None:
@@ -61,7 +57,7 @@ class AutopilotPeer:
         self.origin: tuple[float, float] | None = None
         self.results: dict[int, int] = {}
         self.parameters: dict[str, float] = {}
-        self.texts: deque[str] = deque(maxlen=TEXTS)
+        self.failed = False
 
     def hear(self, item: Any) -> None:
         """Take a message of pymavlink; those of others are passed over."""
@@ -84,7 +80,7 @@ class AutopilotPeer:
         elif kind == "PARAM_VALUE":
             self.parameters[str(item.param_id)] = float(item.param_value)
         elif kind == "STATUSTEXT":
-            self.texts.append(str(item.text).rstrip("\0"))
+            self.failed |= FAILSAFE in str(item.text)
 
 
 class MavlinkPort:
@@ -96,8 +92,7 @@ class MavlinkPort:
 
     def __init__(self, address: str, peer: AutopilotPeer) -> None:
         self.peer = peer
-        self._parser = needed("pymavlink.dialects.v20.ardupilotmega").MAVLink(None)
-        self._parser.robust_parsing = True
+        self._parser = new_parser()
         self.counts = dict.fromkeys(("received", "broken", "sent", "unsent"), 0)
         self._socket = open_socket(address, bind=True)[0]
         self._target: Address | None = None

@@ -1,23 +1,35 @@
 """Rows of an autopilot's receiver, never of its own estimate.
 
 Sailing by the twin, the autopilot's estimate is the twin's own come back: GLOBAL_POSITION_INT would
-look like a perfect fix. So place and speed come from GPS_RAW_INT, or from GPS2_RAW where the twin
-itself is the first receiver.
+look like a perfect fix. So place and speed come from GPS_RAW_INT.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twin.live.external.peer import AutopilotPeer
 from twin.live.protocols.feed import Message
-from twin.live.protocols.mavlink import NEAR, UNKNOWN_HEADING, MavlinkFeed
-from twin.logs.datum import Plane
+from twin.live.protocols.mavlink import (
+    AUTOPILOT,
+    NEAR,
+    ONBOARD,
+    UNKNOWN_HEADING,
+    MavlinkFeed,
+    MavlinkWriter,
+)
+from twin.live.protocols.sockets import Address
 from twin.particulars import Particulars
 
 __all__ = ["ReceiverFeed"]
+
+Array = NDArray[np.float64]
 
 WAIT = 0.1
 """A row waits so long, s, for messages that were overtaken: the autopilot sails by its estimate."""
@@ -31,45 +43,48 @@ SET_INTERVAL, ASK_EVERY = 511, 10.0
 INTERVALS = {30: 0.05, 27: 0.05, 36: 0.05, 24: 0.2}
 """Message -> time between two, s: ATTITUDE, RAW_IMU, SERVO_OUTPUT_RAW, GPS_RAW_INT."""
 
-SECOND = {124: 0.2}
-"""The same of GPS2_RAW."""
-
 
 class ReceiverFeed(MavlinkFeed):
     """Rows of an autopilot's receiver, attitude, IMU and servo outputs.
 
-    ``peer`` hears all that the autopilot says; ``second`` takes the second receiver. Other
-    arguments are those of :class:`~twin.live.protocols.mavlink.MavlinkFeed`.
+    ``peer`` hears all that the autopilot says. Other arguments are those of
+    :class:`~twin.live.protocols.mavlink.MavlinkFeed`.
     """
 
     def __init__(
-        self,
-        address: str | None,
-        particulars: Particulars,
-        peer: AutopilotPeer,
-        *,
-        second: bool = False,
-        **options: Any,
+        self, address: str | None, particulars: Particulars, peer: AutopilotPeer, **options: Any
     ) -> None:
         self.peer = peer
-        self._fixes = "GPS2_RAW" if second else "GPS_RAW_INT"
-        self._intervals = {**INTERVALS, **(SECOND if second else {})}
+        self._writer = MavlinkWriter(component=ONBOARD)
+        self._source: Address | None = None
+        self._target: Address | None = None
         self._intervals_asked = -math.inf
-        super().__init__(address, particulars, None, **{"wait": WAIT, **options})
+        super().__init__(address, particulars, **{"wait": WAIT, **options})
 
-    def greet(self, now: float) -> Iterator[bytes]:
-        """Yield the heartbeat, and ask for what rows are made of."""
-        yield from super().greet(now)
-        system = self.peer.system
-        if system is not None and now - self._intervals_asked >= ASK_EVERY:
+    def take(self) -> list[tuple[float, Array, Array]]:
+        """Return the rows that are complete, and ask for what rows are made of."""
+        rows, now = super().take(), self.clock()
+        if self._target is not None and now - self._intervals_asked >= ASK_EVERY:
             self._intervals_asked = now
-            for message, interval in self._intervals.items():
-                yield self._writer.command(system, SET_INTERVAL, message, 1e6 * interval)
+            system = int(self.peer.system or AUTOPILOT)
+            self.post(
+                self._writer.command(system, SET_INTERVAL, message, 1e6 * interval)
+                for message, interval in INTERVALS.items()
+            )
+        return rows
 
-    @property
-    def plane(self) -> Plane | None:
-        """Where x = y = 0 is on the Earth; None before the first fix."""
-        return self._plane
+    def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
+        """See :meth:`~twin.live.protocols.feed.Feed.receive`."""
+        self._source = source
+        super().receive(data, arrival, source)
+
+    def post(self, datagrams: Iterable[bytes]) -> None:
+        """Send datagrams to where the autopilot speaks from, once that is known."""
+        if self._target is None or self._socket is None:
+            return
+        for data in datagrams:
+            with contextlib.suppress(OSError):  # it is gone, or its line is full
+                self._socket.sendto(data, self._target)
 
     def age(self, t: float) -> float:
         """Return how long ago the time of a row was, s."""
@@ -78,12 +93,14 @@ class ReceiverFeed(MavlinkFeed):
     def _message(self, item: Any) -> Message | str:
         if item.get_type() != "BAD_DATA":
             self.peer.hear(item)
+            if item.get_srcSystem() == self.peer.system:
+                self._target = self._source
         return super()._message(item)
 
     def _readers(self) -> dict[str, Callable[[Any], Message]]:
         readers = super()._readers()
-        del readers["GLOBAL_POSITION_INT"], readers["GPS_RAW_INT"]
-        return {**readers, self._fixes: self._fix}
+        del readers["GLOBAL_POSITION_INT"]
+        return {**readers, "GPS_RAW_INT": self._fix}
 
     def _fix(self, item: Any) -> Message:
         """Return place and speed of the receiver."""

@@ -1,11 +1,9 @@
-"""A simulated boat under an autopilot, its log, its twin as external navigation, and its page."""
+"""A simulated boat under an autopilot, its log, and its twin as external navigation."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +13,20 @@ from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import MavlinkPort
 from twin.live.protocols.mavlink import ONBOARD, MavlinkWriter
-from twin.live.sessions.session import MAX_LAG, Session, Snapshot, sea_of
-from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.sim.bridge import CONTROL_STEP, TRUE_STATE, VERTICAL, measurement_row
 from usv_gym.sitl.backend import Backend
-from usv_gym.sitl.server import Server
 from usv_gym.world.channels import GPS_BIT
 from usv_gym.world.faults import EFFECTS, FAULT_KINDS, Disturbance
 from usv_gym.world.sensors import SensorSuite
 
-__all__ = ["GPS_RATE", "AutopilotRun", "SitlSession", "suite_of", "unmirrored"]
+__all__ = ["GPS_RATE", "AutopilotRun", "suite_of", "unmirrored"]
 
 Array = NDArray[np.float64]
 
 GPS_RATE = 5.0
 """Fixes per second of the receivers that autopilots have, Hz."""
-
-POLL = 0.02
-"""Longest wait for a packet, s; the page is to be answered meanwhile."""
 
 RECEIVER, RETRY = "SIM_GPS1_ENABLE", 0.2
 """Parameter that switches the receiver of ArduPilot's simulator, and the time, s, after which the
@@ -96,7 +88,6 @@ class AutopilotRun:
         self.twin, self.navigation, self.port = twin, navigation, port
         self.on_log, self.on_row = on_log, on_row
         backend.on_step, backend.on_restart = self._after_step, self._restart
-        self.step_twin: Callable[[float, Array, Array, Array], None] = self._plain_step
         self._plane = datum.plane
         self._writer = MavlinkWriter(component=ONBOARD)
         self._every = max(round(CONTROL_STEP / backend.simulation.dt), 1)
@@ -158,23 +149,18 @@ class AutopilotRun:
             self.port.poll()
             self._mirror_faults(t)
         if self.twin is not None:
-            self._navigate(self.twin, t, z, cmd, truth)
+            self._navigate(self.twin, t, z, cmd)
         if self.on_row is not None:
             self.on_row(t, z, cmd, truth)
 
-    def _plain_step(self, t: float, z: Array, cmd: Array, truth: Array) -> None:
-        """Hand a row to the twin; a view does more."""
-        if self.twin is not None:
-            self.twin.step(t, z, cmd)
-
-    def _navigate(self, twin: Twin, t: float, z: Array, cmd: Array, truth: Array) -> None:
+    def _navigate(self, twin: Twin, t: float, z: Array, cmd: Array) -> None:
         """Step the twin, and send what external navigation makes of it."""
         if self._moored and not self.backend.moored:
             twin.reset()
             if self.navigation is not None:
                 self.navigation.restart()
         self._moored = self.backend.moored
-        self.step_twin(t, z, cmd, truth)
+        twin.step(t, z, cmd)
         if self.navigation is not None and self.port is not None:
             self.port.send(self.navigation.take(t, z, twin.estimate(), self._plane, t))
 
@@ -200,57 +186,3 @@ def _strikes(fault: np.void, t: float) -> bool:
     if not (int(fault["bits"]) & GPS_BIT and fault["effect"] == EFFECTS["loss"]):
         return False
     return bool(fault["start"] <= t < fault["end"] or fault["bursting"])
-
-
-class SitlSession(Session):
-    """A simulated boat that an autopilot steers, with its twin.
-
-    The page can look on and record logs; time is that of the autopilot.
-    """
-
-    has_truth = True
-
-    offers = "record logs to the folder of --out"
-
-    def __init__(self, server: Server, run: AutopilotRun, twin: Twin, folder: Path) -> None:
-        simulation = run.backend.simulation
-        super().__init__(simulation.vessel, twin.particulars, folder)
-        self.server, self.run = server, run
-        self.monitor = TwinMonitor(twin)
-        run.on_row, run.step_twin = self._keep, self._step
-
-    def _step(self, t: float, z: Array, cmd: Array, truth: Array) -> None:
-        if not t > self.monitor.t and np.isfinite(self.monitor.t):  # the autopilot began again
-            self.monitor = TwinMonitor(self.monitor.twin)
-            self.snapshot = None
-            self.changed += 1
-        self.monitor.step(t, z, cmd, truth)
-
-    def _advance(self) -> None:
-        until = time.monotonic() + MAX_LAG
-        while self.server.poll(POLL) and time.monotonic() < until:
-            pass
-
-    def _rest(self) -> float:
-        return 0.0
-
-    def _look(self) -> Snapshot | None:
-        if not np.isfinite(self.monitor.t):
-            return None
-        sim = self.run.backend.simulation
-        rate = self._rate(self.monitor.t)
-        return self._seen(sim.state[0].copy(), sea=sea_of(sim), rate=rate, notes=self.notes)
-
-    @property
-    def datum(self) -> Datum:
-        """The autopilot's home."""
-        return self.run.datum
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """State of external navigation, and what came of the autopilot, in words."""
-        counts = self.run.backend.counts
-        text = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
-        if self.run.navigation is None:
-            return (text,)
-        return f"external navigation: {self.run.navigation.status}", text

@@ -1,4 +1,4 @@
-"""A live feed: messages of a boat become rows for its twin, and the twin's estimates go back.
+"""A live feed: messages of a boat become rows for its twin.
 
 Messages come as UDP datagrams, late, doubled, out of order and broken as they may be. They are
 placed on one time axis, wait a little for those that were overtaken, and leave as rows in the
@@ -11,29 +11,25 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
-import socket
-import struct
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, R
-from twin.integrity.monitor import SensorStatus
-from twin.live.protocols.sockets import Address, FeedError, open_socket
+from twin.channels import COMMANDS, MEASUREMENTS, PSI, V
+from twin.live.protocols.sockets import Address, open_socket
 from twin.logs.datum import Plane
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
     "COUNTS",
     "Feed",
     "Message",
+    "velocity_over_ground",
 ]
 
 Array = NDArray[np.float64]
@@ -48,10 +44,7 @@ COUNTS = {
     "broken": "with a wrong or no checksum, cut off, or with impossible values",
     "void": "whose sender says itself that they hold nothing valid, as without a fix",
     "unknown": "sound, but of a kind or a sender that is not followed",
-    "own": "our own reply that came back to us",
-    "dropped": "datagrams that the system threw away, as too many came (known on Linux only)",
-    "sent": "datagrams sent back",
-    "unsent": "datagrams that could not be sent back",
+    "own": "what we sent ourselves and came back to us",
 }
 """What is counted. ``received`` is the sum of used, late, doubled, broken, void, unknown, own."""
 
@@ -76,9 +69,6 @@ REPEAT = 0.01
 HOLD = 2.0
 """Time without messages, s, over which the sender's clock is extrapolated at its own rate."""
 
-SENDER_GONE = 30.0
-"""A receiver of answers that sends nothing for this, s, is replaced by another sender."""
-
 BYTES_MAX = 1 << 16
 """About so many bytes are read in one call; the rest waits for the next."""
 
@@ -100,9 +90,6 @@ LIMITS = {
     **dict.fromkeys(COMMANDS[2:], 0.5 * math.pi + 1e-6),
 }
 """Limits of valid values, whatever the checksum says."""
-
-# Linux: the kernel's time of a datagram, and how many it has dropped before it
-_TIMESTAMP, _DROPPED = 35, 40
 
 
 @dataclass(frozen=True)
@@ -126,6 +113,13 @@ class Message:
             math.isfinite(value) and abs(value) <= LIMITS[name]
             for name, value in self.values.items()
         )
+
+
+def velocity_over_ground(state: Array) -> tuple[float, float]:
+    """Return the velocity north and east, m/s, of a state (6,)."""
+    psi, u, v = state[PSI : V + 1].tolist()
+    c, s = math.cos(psi), math.sin(psi)
+    return u * c - v * s, u * s + v * c
 
 
 MOMENT = 1e-6
@@ -168,11 +162,6 @@ class _Clock:
         return offset + rate * known + (arrival - known)
 
 
-def _named(address: Address | None) -> str:
-    """Return an address in words."""
-    return "nobody" if address is None else f"{address[0]} port {address[1]}"
-
-
 class Feed(ABC):
     """Messages of a boat as rows for its twin; the contract of every kind of feed.
 
@@ -183,9 +172,6 @@ class Feed(ABC):
         :meth:`receive`.
     particulars : Particulars
         The boat: until a command comes it is taken to keep the nominal shaft speed, straight on.
-    reply : str, optional
-        Where the twin's estimates go. Left out, they go to the first sender of a datagram that was
-        used, for as long as it is not silent for :data:`SENDER_GONE`; others are only listened to.
     clock : callable
         Returns the time now, s.
     period, wait : float
@@ -196,8 +182,8 @@ class Feed(ABC):
     ----------
     counts : dict of str to int
         By the names in :data:`COUNTS`.
-    origin : tuple of float or None
-        Latitude and longitude, degrees, of north = east = 0: those of the first fix.
+    plane : Plane or None
+        Where north = east = 0 is on the Earth: at the first fix; None before it.
 
     Notes
     -----
@@ -217,7 +203,6 @@ class Feed(ABC):
         self,
         address: str | None,
         particulars: Particulars,
-        reply: str | None = None,
         *,
         clock: Callable[[], float] = time.monotonic,
         period: float = PERIOD,
@@ -226,9 +211,8 @@ class Feed(ABC):
         self.particulars = particulars
         self.clock, self.period, self.wait = clock, period, wait
         self.counts = dict.fromkeys(COUNTS, 0)
-        self.origin: tuple[float, float] | None = None
         self.commanded: set[str] = set()
-        self._plane: Plane | None = None
+        self.plane: Plane | None = None
         self._cmd = np.array([particulars.shaft_speed] * 2 + [0.0] * 2)
         self._map = _Clock()
         self._base: float | None = None
@@ -241,41 +225,11 @@ class Feed(ABC):
         self._ready: list[tuple[float, Array, Array]] = []
         self._order = itertools.count()
         self._arrival = -math.inf
-        self._peer: Address | None = None
-        self._peer_at = -math.inf
-        self._other: Address | None = None
-        self._reply: Address | None = None
-        self._sent_health: dict[str, str] = {}
-        self._socket: socket.socket | None = None
-        self._output: socket.socket | None = None
-        if address is not None:
-            self._socket = open_socket(address, bind=True)[0]
-            if sys.platform == "linux":
-                for option in (_TIMESTAMP, _DROPPED):
-                    self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
-        self._output = self._socket
-        if reply is not None:
-            try:
-                self._output, self._reply = open_socket(reply, bind=False)
-            except FeedError:
-                self.close()
-                raise
+        self._socket = None if address is None else open_socket(address, bind=True)[0]
 
     @abstractmethod
     def decode(self, data: bytes) -> Iterator[Message | str]:
         """Yield what a datagram holds: messages, or the names under which to count what is none."""
-
-    @abstractmethod
-    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the datagrams of the twin's estimate and prediction."""
-
-    @abstractmethod
-    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
-        """Return the datagram of a sensor's new status, and why; ``stamp`` in s."""
-
-    def greet(self, now: float) -> Iterator[bytes]:
-        """Yield datagrams that are due now whatever is known."""
-        yield from ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -288,18 +242,11 @@ class Feed(ABC):
         }
         if self.particulars.steering == "drives":
             taken["drive angle"] = COMMANDS[2:], "straight ahead"
-        notes = [
+        return tuple(
             f"no {what} has come: taken as {text}"
             for what, (names, text) in taken.items()
             if self.commanded.isdisjoint(names)
-        ]
-        if self._other is not None:
-            receiver = self._reply or self._peer
-            notes.append(
-                f"a second sender, {_named(self._other)}: its data are used, answers go to "
-                f"{_named(receiver)}"
-            )
-        return tuple(notes)
+        )
 
     def take(self) -> list[tuple[float, Array, Array]]:
         """Return the rows that are complete, oldest first: time, measurements (19,), commands (4,).
@@ -308,16 +255,13 @@ class Feed(ABC):
         ``twin.logs.log.MEASUREMENTS``, NaN where there is none.
         """
         drained = self._drain()
-        now = self.clock()
-        for data in self.greet(now):
-            self._send(data)
-        if drained and now - self._arrival >= self.wait:
+        if drained and self.clock() - self._arrival >= self.wait:
             self._release(math.inf)
         rows, self._ready = self._ready, []
         return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
-        """Take one datagram that arrived at a time of the feed's clock (s)."""
+        """Take one datagram that arrived at a time of the feed's clock (s) from ``source``."""
         if not self._map.pairs:  # until a message has a time, use our own
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
@@ -326,54 +270,13 @@ class Feed(ABC):
             self.counts[counted] += 1
             if counted in ("used", "void"):
                 self._arrival = arrival
-                self._hear(source, arrival)
         self._release(self._head - self.wait)
 
-    def _hear(self, source: Address | None, arrival: float) -> None:
-        """Note a sender: the first gets the answers, a second is named in the notes."""
-        if source is None:
-            return
-        if self._peer is None or arrival - self._peer_at > SENDER_GONE:
-            self._peer = source
-        if source == self._peer:
-            self._peer_at = arrival
-        elif self._other is None:
-            self._other = source
-
-    def send(
-        self,
-        estimate: Estimate,
-        prediction: Prediction | None = None,
-        health: Mapping[str, SensorStatus] | None = None,
-    ) -> None:
-        """Send the twin's estimate, and what changed of its sensors since the last time.
-
-        Nothing goes out before a position and a receiver are known.
-        """
-        known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
-        if not (known and (self._reply or self._peer)):
-            return
-        for data in self.encode(estimate, prediction):
-            self._send(data)
-        for sensor, status in (health or {}).items():
-            # sensors that are well, or were never there, are no news at first
-            before = self._sent_health.get(sensor, status.status if status.why == "" else "")
-            if status.status != before:
-                stamp = self.stamp_of(estimate.t)
-                self._send(self.encode_health(stamp, sensor, status.status, status.why))
-            self._sent_health[sensor] = status.status
-
-    def post(self, datagrams: Iterable[bytes]) -> None:
-        """Send datagrams to the receiver of the answers, once there is one."""
-        for data in datagrams:
-            self._send(data)
-
     def close(self) -> None:
-        """Let go of the ports."""
-        for each in (self._socket, self._output):
-            if each is not None:
-                each.close()
-        self._socket = self._output = None
+        """Let go of the port."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
 
     def __enter__(self) -> Feed:
         """Return the feed itself."""
@@ -387,53 +290,20 @@ class Feed(ABC):
         """Return a row's time by the sender's clock, s, within its modulus."""
         return (t + (self._zero or 0.0) + (self._base or 0.0)) % self.modulus
 
-    def place_of(self, state: Array) -> tuple[float, float, float, float]:
-        """Return latitude and longitude, degrees, and velocity north and east, m/s, of a state."""
-        if self._plane is None:
-            raise FeedError("no fix has come yet: a place on the plane has no latitude")
-        x, y, psi, u, v = state[:R].tolist()
-        c, s = math.cos(psi), math.sin(psi)
-        return *self._plane.degrees(x, y), u * c - v * s, u * s + v * c
-
-    def _send(self, data: bytes) -> None:
-        target = self._reply or self._peer
-        if target is None or self._output is None:
-            return
-        try:
-            self._output.sendto(data, target)
-            self.counts["sent"] += 1
-        except OSError:  # the receiver is gone, or its line is full
-            self.counts["unsent"] += 1
-
     def _drain(self) -> bool:
         """Read what has come; return whether that was all."""
         budget = BYTES_MAX
         while self._socket is not None and budget > 0:
             try:
-                if sys.platform == "linux":
-                    message = self._socket.recvmsg(1 << 16, 128)
-                    data, ancillary, source = message[0], message[1], message[3]
-                else:
-                    (data, source), ancillary = self._socket.recvfrom(1 << 16), []
+                data, source = self._socket.recvfrom(1 << 16)
             except BlockingIOError:
                 return True
-            except OSError:  # an earlier reply was refused
+            except OSError:  # an earlier answer was refused
                 budget -= 64
                 continue
             budget -= len(data) + 64
-            self.receive(data, self._arrived(ancillary), source)
+            self.receive(data, self.clock(), source)
         return budget > 0
-
-    def _arrived(self, ancillary: list[tuple[int, int, bytes]]) -> float:
-        """Return when a datagram came by our clock, from what the system says beside it."""
-        age = 0.0
-        for kind, content in (item[1:] for item in ancillary):
-            if kind == _TIMESTAMP and len(content) == 16:
-                seconds, nanoseconds = struct.unpack("@qq", content)
-                age = max(time.time() - seconds - 1e-9 * nanoseconds, 0.0)
-            elif kind == _DROPPED:
-                (self.counts["dropped"],) = struct.unpack("@I", content)
-        return self.clock() - age
 
     def _place(self, message: Message, arrival: float) -> str:
         """Sort a message in; return under which name it counts."""
@@ -453,9 +323,9 @@ class Feed(ABC):
         self._head = max(self._head, t)
         values = message.values
         if message.fix is not None:
-            if self._plane is None:
-                self.origin, self._plane = message.fix, Plane(*message.fix)
-            north, east = self._plane.metres(*message.fix)
+            if self.plane is None:
+                self.plane = Plane(*message.fix)
+            north, east = self.plane.metres(*message.fix)
             values = {"gps_x_m": north, "gps_y_m": east, **values}
         if values:
             bisect.insort(self._buffer, (t, next(self._order), values))

@@ -1,4 +1,4 @@
-"""MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's estimates back.
+"""MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and messages to it.
 
 Taken are GLOBAL_POSITION_INT (fix and velocity, with height and climb), ATTITUDE (heading, roll,
 pitch and rates), the accelerometers of HIGHRES_IMU, SCALED_IMU or RAW_IMU, and SERVO_OUTPUT_RAW
@@ -9,15 +9,8 @@ While GPS_RAW_INT says that there is no fix, the position is no measurement but 
 dead reckoning, and counts as void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in
 ATTITUDE, mean that it is not known.
 
-The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
-second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (in the local frame of the
-autopilot, whose origin it asks for, with variances). Its forecasts are
-TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and headings 2, 4, 6, 8, 10 s ahead,
-local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds ahead and standard deviations north
-and east, m. Where roll and pitch are known, ATTITUDE has them, DEBUG_FLOAT_ARRAY ``motion`` has
-rows of nine numbers: seconds ahead, then roll, pitch (rad), heave (m, down), vertical speed of the
-deck (m/s, down) and their standard deviations. ``quiet`` has the probabilities of a deck that stays
-quiet for 2, 3 and 5 s, NaN until past forecasts were compared with what came.
+A feed only listens. ``twin.live.external`` is what sends the twin's estimate to an autopilot, as
+its onboard computer (component 191).
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -30,13 +23,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from twin.channels import PSI, R, U, V, X, Y
-from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
+from twin.channels import R, U, V, X, Y
+from twin.live.protocols.feed import Feed, Message, velocity_over_ground
 from twin.live.protocols.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
-from twin.predictors.base import Estimate, Prediction
+from twin.predictors.base import Estimate
 from twin.tilt import body_velocity, body_yaw_rate
 from usv_kernel.servos import Servos
 
@@ -45,9 +38,13 @@ __all__ = [
     "MavlinkFeed",
     "MavlinkWriter",
     "Servos",
+    "new_parser",
 ]
 
 Array = NDArray[np.float64]
+
+DIALECT = "pymavlink.dialects.v20.ardupilotmega"
+"""The common message set, and WIND."""
 
 WRAP = 2.0**32
 
@@ -58,12 +55,6 @@ NEAR = 5.0
 
 RATES_GONE = 2.0
 """So long after the last rates of ATTITUDE those of the IMU count, s."""
-
-HEARTBEAT = 1.0
-"""Time between two, s."""
-
-REQUEST_MESSAGE, ORIGIN_MESSAGE = 512, 49
-"""Command that asks for a message, and the message GPS_GLOBAL_ORIGIN."""
 
 _IMU_PARTS = (
     *("accel_x_mps2", "accel_y_mps2", "accel_z_mps2"),
@@ -93,15 +84,14 @@ class JumpCounter:
 
     def take(self, t: float, state: Array) -> int:
         """Take a time (s) and state (6,), in order; return the count, from 0 to 255."""
-        c, s = math.cos(state[PSI]), math.sin(state[PSI])
-        north, east = state[U] * c - state[V] * s, state[U] * s + state[V] * c
+        north, east = velocity_over_ground(state)
         if self._last is not None:
             before, x, y, vx, vy = self._last
             dt = t - before
             ahead = x + 0.5 * dt * (vx + north), y + 0.5 * dt * (vy + east)
             if math.dist(ahead, (state[X], state[Y])) > JUMP:
                 self.count = (self.count + 1) % 256
-        self._last = t, float(state[X]), float(state[Y]), float(north), float(east)
+        self._last = t, float(state[X]), float(state[Y]), north, east
         return self.count
 
 
@@ -117,24 +107,19 @@ class MavlinkFeed(Feed):
         self,
         address: str | None,
         particulars: Particulars,
-        reply: str | None = None,
         *,
         servos: Servos | None = None,
         **options: Any,
     ) -> None:
-        self._writer = MavlinkWriter(component=ONBOARD)
         self.servos = servos or Servos.of(particulars)
         self.system: int | None = None
         self._component = AUTOPILOT
-        self._parser = self._writer.parser()
+        self._parser = new_parser()
         self._lost = False
         self._boot = math.nan
-        self._greeted = -math.inf
-        self._jumps = JumpCounter()
         self._heard = -math.inf
         self._rated: dict[str, float] = {}
-        self.local_origin: tuple[float, float] | None = None
-        super().__init__(address, particulars, reply, **options)
+        super().__init__(address, particulars, **options)
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
         """See :meth:`Feed.receive`."""
@@ -145,61 +130,9 @@ class MavlinkFeed(Feed):
         """Yield the messages of a datagram; see :meth:`Feed.decode`."""
         if self._parser.buf_len() and data[:1] in (b"\xfd", b"\xfe"):
             yield "broken"  # the last datagram ended in a message that this one does not continue
-            self._parser = self._writer.parser()
+            self._parser = new_parser()
         for item in self._parser.parse_buffer(data) or ():
             yield self._message(item)
-
-    def greet(self, now: float) -> Iterator[bytes]:
-        """Yield the heartbeat, once a second, and the question for the local origin."""
-        if now - self._greeted >= HEARTBEAT:
-            self._greeted = now
-            yield self._writer.heartbeat()
-            if self.system is not None and self.local_origin is None:
-                yield self._writer.command(self.system, REQUEST_MESSAGE, ORIGIN_MESSAGE)
-
-    @property
-    def offset(self) -> tuple[float, float]:
-        """Origin of the autopilot's local frame, m north and east of ours; 0 until it is known."""
-        if self._plane is None or self.local_origin is None:
-            return 0.0, 0.0
-        north, east = self._plane.metres(*self.local_origin)
-        return float(north), float(east)
-
-    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the twin's estimates, a message in each datagram; see :meth:`Feed.encode`."""
-        write, now = self._writer, self.stamp_of(estimate.t)
-        latitude, longitude, north, east = self.place_of(estimate.state)
-        heading, rate = float(estimate.state[PSI]), float(estimate.state[R])
-        motion = estimate.motion
-        down = math.nan, 0.0 if motion is None else motion.vertical_speed
-        yield write.position(now, (latitude, longitude), (north, east), heading, down)
-        if motion is None:
-            yield write.attitude(now, heading, rate)
-        else:
-            tilt, rates = (motion.roll, motion.pitch), (motion.roll_rate, motion.pitch_rate)
-            turn = float(body_yaw_rate(rate, tilt, motion.pitch_rate))
-            yield write.attitude(now, heading, turn, tilt, rates)
-        resets = self._jumps.take(estimate.t, estimate.state)
-        origin = self.offset
-        yield write.odometry(now, estimate, origin=origin, resets=resets)
-        if prediction is not None:
-            end = float(prediction.t[-1] - prediction.t0) + 1e-6
-            horizons = np.array([h for h in HORIZONS if h <= end])
-            if len(horizons):
-                mean, cov = prediction.at(horizons)
-                made = self.stamp_of(prediction.t0)
-                yield write.trajectory(made, mean)
-                sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
-                yield write.floats(made, b"sd_pos", np.column_stack([horizons, sd]))
-            if (ahead := prediction.motion) is not None:
-                times = (0.0, *MOTION_HORIZONS)
-                table = np.column_stack([times, *ahead.at(times)])
-                yield write.floats(self.stamp_of(prediction.t0), b"motion", table)
-                yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.known_quiet)
-
-    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
-        """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""
-        return self._writer.text(why or f"{sensor} {status}", status != "ok")
 
     def _message(self, item: Any) -> Message | str:
         """Return what a message says, or how it counts."""
@@ -207,13 +140,13 @@ class MavlinkFeed(Feed):
         if kind == "BAD_DATA":
             return "broken"
         system, component = item.get_srcSystem(), item.get_srcComponent()
-        if component == ONBOARD and system in (self.system, self._writer.system):
+        if component == ONBOARD and system == self.system:
             return "own"
         read = self._readers().get(kind)
         # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
         if self.system is None and known:
-            self.system = self._writer.system = system
+            self.system = system
             self._component = component
         if kind == "HEARTBEAT" and self.system in (None, system):  # says that it is there
             return Message("heartbeat")
@@ -230,7 +163,6 @@ class MavlinkFeed(Feed):
             "RAW_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
-            "GPS_GLOBAL_ORIGIN": self._local_origin,
             "WIND_COV": self._wind_cov,
             "WIND": self._wind,
         }
@@ -313,79 +245,27 @@ class MavlinkFeed(Feed):
         self._lost = item.fix_type < 2
         return Message("receiver", void=self._lost)
 
-    def _local_origin(self, item: Any) -> Message:
-        if item.latitude or item.longitude:  # 0, 0 is what a sender without one writes
-            self.local_origin = item.latitude / 1e7, item.longitude / 1e7
-        return Message("origin", void=self.local_origin is None)
+
+def new_parser() -> Any:
+    """Return a parser of MAVLink messages that goes on after broken ones."""
+    made = needed(DIALECT).MAVLink(None)
+    made.robust_parsing = True
+    return made
 
 
 class MavlinkWriter:
-    """Messages of a component, each as a datagram."""
+    """Messages of a component, each as a datagram; ``link`` has its system and its count."""
 
     def __init__(self, system: int = 1, component: int = 1) -> None:
-        self.dialect = needed("pymavlink.dialects.v20.ardupilotmega")  # the common set, and WIND
-        self._link = self.dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.dialect = needed(DIALECT)
+        self.link = self.dialect.MAVLink(None, srcSystem=system, srcComponent=component)
 
-    @property
-    def system(self) -> int:
-        """Number of the system that speaks."""
-        return int(self._link.srcSystem)
-
-    @system.setter
-    def system(self, system: int) -> None:
-        self._link.srcSystem = system
-
-    def parser(self) -> Any:
-        """Return a new parser of messages that goes on after broken ones."""
-        made = self.dialect.MAVLink(None)
-        made.robust_parsing = True
-        return made
-
-    def heartbeat(self, kind: str = "MAV_TYPE_ONBOARD_CONTROLLER") -> bytes:
-        """Return the sign of life of a system of some kind."""
+    def heartbeat(self) -> bytes:
+        """Return the sign of life of an onboard computer."""
         d = self.dialect
-        return self.pack(
-            d.MAVLink_heartbeat_message(
-                getattr(d, kind), d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3
-            )
-        )
-
-    def position(
-        self,
-        stamp: float,
-        place: tuple[float, float] | None,
-        velocity: tuple[float, float] | None,
-        heading: float = math.nan,
-        down: tuple[float, float] = (math.nan, math.nan),
-    ) -> bytes:
-        """Return place (degrees), velocity over ground (m/s north, east), and both down."""
-        lat = lon = UNKNOWN_PLACE
-        if place is not None:
-            lat, lon = (round(1e7 * value) for value in place)
-        vx = vy = UNKNOWN_SPEED
-        if velocity is not None:
-            vx, vy = (min(max(round(100.0 * v), 1 - 2**15), 2**15 - 2) for v in velocity)
-        course = UNKNOWN_HEADING
-        if not math.isnan(heading):
-            course = round(100.0 * math.degrees(heading)) % 36000
-        # 0 stands for no height
-        height = 0 if math.isnan(down[0]) else round(-1000.0 * down[0]) or 1
-        vz = UNKNOWN_SPEED if math.isnan(down[1]) else round(100.0 * down[1])
-        made = self.dialect.MAVLink_global_position_int_message
-        return self.pack(made(_ms(stamp), lat, lon, height, 0, vx, vy, vz, course))
-
-    def attitude(
-        self,
-        stamp: float,
-        heading: float,
-        rate: float,
-        tilt: tuple[float, float] = (math.nan, math.nan),
-        rates: tuple[float, float] = (math.nan, math.nan),
-    ) -> bytes:
-        """Return heading, roll and pitch, rad, and rates, rad/s; NaN where it is not known."""
-        yaw = math.remainder(heading, 2.0 * math.pi)
-        made = self.dialect.MAVLink_attitude_message
-        return self.pack(made(_ms(stamp), *tilt, yaw, *rates, rate))
+        kind, autopilot = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID
+        made = d.MAVLink_heartbeat_message
+        return self.pack(made(kind, autopilot, 0, 0, d.MAV_STATE_ACTIVE, 3))
 
     def odometry(
         self,
@@ -424,7 +304,7 @@ class MavlinkWriter:
             x=x - origin[0],
             y=y - origin[1],
             z=heave,
-            q=_quaternion(*tilt, psi),
+            q=_quaternion(psi, tilt),
             vx=velocity[0],
             vy=velocity[1],
             vz=velocity[2],
@@ -452,112 +332,18 @@ class MavlinkWriter:
         made = d.MAVLink_param_set_message
         return self.pack(made(system, AUTOPILOT, name.encode(), value, kind))
 
-    def fix(
-        self,
-        stamp: float,
-        place: tuple[float, float],
-        velocity: tuple[float, float],
-        sd: tuple[float, float],
-        *,
-        valid: bool = True,
-    ) -> bytes:
-        """Return an estimate as a GPS_INPUT: degrees, m/s north and east.
-
-        ``sd`` are the standard deviations of place (m) and speed (m/s).
-        """
-        d = self.dialect
-        unused = (
-            d.GPS_INPUT_IGNORE_FLAG_ALT
-            | d.GPS_INPUT_IGNORE_FLAG_VDOP
-            | d.GPS_INPUT_IGNORE_FLAG_VEL_VERT
-            | d.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
-        )
-        made = d.MAVLink_gps_input_message(
-            time_usec=round(1e6 * stamp),
-            gps_id=0,
-            ignore_flags=unused,
-            time_week_ms=0,
-            time_week=0,
-            fix_type=3 if valid else 1,
-            lat=round(1e7 * place[0]),
-            lon=round(1e7 * place[1]),
-            alt=0.0,
-            hdop=1.0,
-            vdop=1.0,
-            vn=velocity[0],
-            ve=velocity[1],
-            vd=0.0,
-            speed_accuracy=sd[1],
-            horiz_accuracy=sd[0],
-            vert_accuracy=0.0,
-            satellites_visible=12 if valid else 0,
-        )
-        return self.pack(made)
-
-    def trajectory(self, stamp: float, states: Array) -> bytes:
-        """Return up to five predicted states, shape (n, 6)."""
-        c, s = np.cos(states[:, 2]), np.sin(states[:, 2])
-        north = states[:, 3] * c - states[:, 4] * s
-        east = states[:, 3] * s + states[:, 4] * c
-        empty, still = [math.nan] * 5, np.zeros(len(states))
-        columns = (states[:, 0], states[:, 1], still, north, east, still)
-        x, y, z, vx, vy, vz = (_five(column) for column in columns)
-        yaw, rate = _five(states[:, PSI]), _five(states[:, R])
-        return self.pack(
-            self.dialect.MAVLink_trajectory_representation_waypoints_message(
-                round(1e6 * stamp),
-                len(states),
-                x,
-                y,
-                z,
-                vx,
-                vy,
-                vz,
-                empty,
-                empty,
-                empty,
-                yaw,
-                rate,
-                [UNKNOWN_HEADING] * 5,
-            )
-        )
-
-    def text(self, text: str, warning: bool) -> bytes:
-        """Return a text for the operator, cut to 50 letters."""
-        d = self.dialect
-        severity = d.MAV_SEVERITY_WARNING if warning else d.MAV_SEVERITY_INFO
-        return self.pack(d.MAVLink_statustext_message(severity, text.encode()[:50]))
-
-    def floats(self, stamp: float, name: bytes, table: Array) -> bytes:
-        """Return up to 58 numbers under a name."""
-        data = [*table.ravel().tolist(), *[0.0] * (58 - table.size)]
-        made = self.dialect.MAVLink_debug_float_array_message
-        return self.pack(made(round(1e6 * stamp), name, 0, data))
-
     def pack(self, message: Any) -> bytes:
         """Return a message as the next one of this component."""
-        packed = bytes(message.pack(self._link))
-        self._link.seq = (self._link.seq + 1) % 256
+        packed = bytes(message.pack(self.link))
+        self.link.seq = (self.link.seq + 1) % 256
         return packed
 
 
-def _ms(stamp: float) -> int:
-    """Return a time, s, in whole milliseconds of 32 bits."""
-    return round(1000.0 * stamp) % int(WRAP)
-
-
-def _five(values: Array) -> list[float]:
-    """Return up to five values, NaN after them."""
-    return [*values.tolist(), *[math.nan] * (5 - len(values))]
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> list[float]:
-    """Return the quaternion w, x, y, z of angles, rad, turned by in the order yaw, pitch, roll."""
-    (a, b, c), (d, e, f) = (
-        tuple(turn(0.5 * angle) for angle in (roll, pitch, yaw)) for turn in (math.cos, math.sin)
-    )
-    w, x = a * b * c + d * e * f, d * b * c - a * e * f
-    return [w, x, a * e * c + d * b * f, a * b * f - d * e * c]
+def _quaternion(heading: float, tilt: tuple[float, float]) -> list[float]:
+    """Return the quaternion w, x, y, z of heading, roll and pitch, rad."""
+    roll, pitch = tilt
+    x, y, z, w = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_quat().tolist()
+    return [w, x, y, z]
 
 
 def _triangle(sd: list[float]) -> list[float]:

@@ -1,4 +1,4 @@
-r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
+r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimate as sentences.
 
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
 RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers named PTCH or PITCH
@@ -19,59 +19,36 @@ that of the sentence before them in the same datagram (ZDA, GGA, RMC, a TAG bloc
 is that of their arrival by the sender's clock. A TAG block in whole seconds is the time of the
 first sentence of its kind in that second alone.
 
-What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is GGA of quality 6
-(estimated), RMC of mode E, HDT, ROT, and for now (0 s) and each of :data:`HORIZONS` ::
-
-    $PUTWP,hhmmss.sss,h.h,ddmm.mmmmm,N,dddmm.mmmmm,E,hhh.h,n.nn,e.ee,c.cc*hh<CR><LF>
-
-with the time of prediction, the horizon (s), latitude, longitude and heading (degrees). Standard
-deviations north and east (m, at most 999.99) and their correlation follow. Each sentence is at most
-82 characters long, as the standard asks. Where roll and pitch are known, PASHR has them and the
-heave. Then these go out, the first for now and each of :data:`MOTION_HORIZONS` ::
-
-    $PUTWM,hhmmss.sss,h.h,roll,pitch,heave,speed,sd,sd,sd,sd*hh<CR><LF>
-    $PUTWQ,hhmmss.sss,p.pp,p.pp,p.pp*hh<CR><LF>
-
-with roll and pitch (degrees), heave (m, down), vertical speed of the deck point (m/s, down), and
-their standard deviations. The other has the probabilities of a deck that stays quiet for 2, 3 and
-5 s, empty until past forecasts were compared with what came. Where a sensor's status changes, one
-more goes out ::
-
-    $PUTWH,hhmmss.sss,gps,excluded*hh<CR><LF>
-
-with the sensor (gps, compass, gyro, accelerometers, commands) and ok, doubtful, excluded or absent.
+The twin's estimate goes out under the talker U9, as NMEA 0183 leaves U0 to U9 to users: GGA of
+quality 6 (estimated), RMC of mode E, HDT and ROT.
 
 Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, date, datetime, time
+from datetime import UTC, datetime, time, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, R
-from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.sockets import FeedError, needed
-from twin.predictors.base import Estimate, Prediction
+from twin.channels import COMMANDS, PSI, R, X, Y
+from twin.live.protocols.feed import Feed, Message, velocity_over_ground
+from twin.live.protocols.sockets import FeedError, needed, open_socket
+from twin.logs.datum import Plane
+from twin.predictors.base import Estimate
 
 __all__ = [
     "DAY",
-    "HORIZONS",
     "KNOT",
     "NmeaFeed",
-    "NmeaWriter",
-    "clock_text",
+    "NmeaReply",
 ]
-
-Array = NDArray[np.float64]
 
 DAY = 86400.0
 
@@ -79,12 +56,6 @@ KNOT = 1852.0 / 3600.0
 
 OWN = "U9"
 """Talker of what the twin says."""
-
-HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
-"""Horizons of the prediction that goes back, s."""
-
-MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0)
-"""Those of roll, pitch and heave."""
 
 LENGTH_MAX = 1024
 """Longest line that counts as a sentence, characters."""
@@ -121,13 +92,9 @@ class NmeaFeed(Feed):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self._library = needed("pynmeagps")
-        self._writer = NmeaWriter(OWN)
         self._rest = ""
         self._seconds: dict[str, float] = {}
-        # a PASHR has no talker: what we said is known by its words
-        self._said: deque[str] = deque(maxlen=64)
         self._epoch = math.nan, math.nan
-        self._date: tuple[date, float] | None = None
         super().__init__(*args, **options)
 
     def decode(self, data: bytes) -> Iterator[Message | str]:
@@ -143,48 +110,6 @@ class NmeaFeed(Feed):
                     item = replace(item, stamp=stamp)
                 kinds.add(item.kind)
             yield item
-
-    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the twin's estimates as one datagram; see :meth:`Feed.encode`."""
-        stamp = self.stamp_of(estimate.t)
-        latitude, longitude, north, east = self.place_of(estimate.state)
-        write = self._writer
-        lines = [
-            write.gga(stamp, latitude, longitude, quality=6),
-            write.rmc(stamp, self._day(stamp), (latitude, longitude), north, east, mode="E"),
-            write.hdt(float(estimate.state[2])),
-            write.rot(float(estimate.state[R])),
-        ]
-        if estimate.motion is not None:
-            now = estimate.motion
-            heading, tilt = float(estimate.state[2]), (now.roll, now.pitch)
-            lines.append(write.attitude(stamp, heading, tilt, now.heave, now.sd[:2]))
-            self._said.append(lines[-1].strip())
-        if prediction is not None:
-            end = float(prediction.t[-1] - prediction.t0) + 1e-6
-            horizons = [0.0, *(h for h in HORIZONS if h <= end)]
-            made = self.stamp_of(prediction.t0)
-            for after, state, cov in zip(horizons, *prediction.at(np.array(horizons)), strict=True):
-                place = self.place_of(state)[:2]
-                lines.append(write.predicted(made, after, place, float(state[2]), cov[:2, :2]))
-        if prediction is not None and prediction.motion is not None:
-            motion, made = prediction.motion, self.stamp_of(prediction.t0)
-            times = 0.0, *MOTION_HORIZONS
-            lines += map(write.motion, [made] * len(times), times, *motion.at(times))
-            lines.append(write.quiet(made, motion.known_quiet))
-        yield "".join(lines).encode()
-
-    def encode_health(self, stamp: float, sensor: str, status: str, why: str) -> bytes:
-        """See :meth:`Feed.encode_health`."""
-        return self._writer.health(stamp, sensor, status).encode()
-
-    def _day(self, stamp: float) -> date:
-        """Return the date of a time of day: that of the last date received, or the nearest."""
-        if self._date is None:
-            return datetime.now(UTC).date()
-        given, at = self._date
-        turn = round((at - stamp) / DAY)
-        return date.fromordinal(min(max(given.toordinal() + turn, 1), date.max.toordinal()))
 
     def _lines(self, text: str) -> Iterator[str]:
         """Yield the lines of a datagram, joined with what the last one left unended."""
@@ -236,7 +161,7 @@ class NmeaFeed(Feed):
         content, talker, kind, fields, checksum = self._library.get_parts(line)
         if self._library.calc_checksum(content) != checksum.upper():
             return "broken"
-        if talker == OWN or content.startswith("PUTW") or line in self._said:
+        if talker == OWN:
             return "own"
         if kind not in _READERS or (talker == "P") != (kind == "ASHR"):
             return "unknown"
@@ -245,8 +170,6 @@ class NmeaFeed(Feed):
                 return "unknown"
             fields[0] = ASHTECH[fields[0]]
         sentence = self._library.NMEAMessage(talker, kind, 0, payload=fields, checksum=checksum)
-        if kind in ("RMC", "ZDA"):
-            self._tell_date(sentence)
         return _READERS[kind](sentence)
 
     def _tag(self, line: str) -> tuple[float | None, str]:
@@ -263,17 +186,6 @@ class NmeaFeed(Feed):
                 # UNIX time, s or ms
                 return math.fmod(stamp / 1000.0 if abs(stamp) > 1e11 else stamp, DAY), rest
         return None, rest
-
-    def _tell_date(self, sentence: Any) -> None:
-        """Keep the date of an RMC or ZDA, and when it held."""
-        if sentence.msgID == "RMC":
-            given = sentence.date
-        elif "" in (sentence.year, sentence.month, sentence.day):
-            return
-        else:
-            given = date(sentence.year, sentence.month, sentence.day)
-        if isinstance(given, date) and isinstance(sentence.time, time):
-            self._date = given, _seconds(sentence.time)
 
 
 def _seconds(moment: time) -> float:
@@ -460,161 +372,46 @@ _READERS = {
 }
 
 
-class NmeaWriter:
-    """Sentences of a talker, which has two letters."""
+class NmeaReply:
+    """Sends the twin's estimate to ``udp://HOST:PORT``."""
 
-    def __init__(self, talker: str) -> None:
-        self.checksum = needed("pynmeagps").calc_checksum
-        self.talker = talker
+    def __init__(self, address: str) -> None:
+        self._library = needed("pynmeagps")
+        self._socket, self._target = open_socket(address, bind=False)
 
-    def line(self, kind: str, *fields: str) -> str:
-        """Return a sentence with its checksum."""
-        return self._whole(self.talker + kind, *fields)
+    def send(self, plane: Plane, stamp: float, estimate: Estimate) -> None:
+        """Send an estimate at a time of day, s; nothing goes out before it is ready."""
+        if estimate.ready and np.isfinite(estimate.state).all():
+            with contextlib.suppress(OSError):  # nobody listens there, or the line is full
+                self._socket.sendto(self.encode(plane, stamp, estimate), self._target)
 
-    def _whole(self, *fields: str) -> str:
-        content = ",".join(fields)
-        return f"${content}*{self.checksum(content)}\r\n"
-
-    def gga(
-        self,
-        stamp: float,
-        latitude: float,
-        longitude: float,
-        quality: int,
-        height: float = math.nan,
-    ) -> str:
-        """Return a fix; ``stamp`` is the time of day, s, ``height`` m above the sea."""
-        place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
-        satellites = ("", "") if quality == 6 else ("12", "0.8")
-        return self.line(
-            "GGA",
-            clock_text(stamp),
-            *place[0],
-            *place[1],
-            f"{quality}",
-            *satellites,
-            "" if math.isnan(height) else f"{height:.3f}",
-            "M",
-            "",
-            "M",
-            "",
-            "",
+    def encode(self, plane: Plane, stamp: float, estimate: Estimate) -> bytes:
+        """Return the datagram of an estimate."""
+        state = estimate.state
+        latitude, longitude = map(float, plane.degrees(state[X], state[Y]))
+        north, east = velocity_over_ground(state)
+        moment = (datetime.min + timedelta(seconds=stamp % DAY)).time()
+        place: dict[str, Any] = {"time": moment, "lat": latitude, "lon": longitude}
+        motion = {
+            "spd": round(math.hypot(north, east) / KNOT, 4),
+            "cog": round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0,
+        }
+        today = {"date": datetime.now(UTC).date(), "mv": "", "status": "A", "posMode": "E"}
+        heading = round(math.degrees(state[PSI]) % 360.0, 4) % 360.0
+        rate = round(60.0 * math.degrees(state[R]), 4)
+        unknown = {"numSV": "", "HDOP": "", "alt": "", "sep": "", "diffStation": ""}
+        sentences = {
+            "GGA": {**place, "quality": 6, **unknown},
+            "RMC": {**place, **motion, **today},
+            "HDT": {"headingT": heading, "headingTu": "T"},
+            "ROT": {"rot": rate, "valid": "A"},
+        }
+        made = self._library.NMEAMessage
+        return b"".join(
+            made(OWN, kind, 0, hpnmeamode=1, **fields).serialize()
+            for kind, fields in sentences.items()
         )
 
-    def rmc(
-        self,
-        stamp: float,
-        day: date,
-        place: tuple[float, float] | None,
-        north: float | None,
-        east: float | None,
-        mode: str,
-    ) -> str:
-        """Return velocity over ground, m/s, with place and date."""
-        sides: tuple[str, ...] = ("", "", "", "")
-        if place is not None:
-            sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
-        motion = ("", "")
-        if north is not None and east is not None:
-            speed = f"{math.hypot(north, east) / KNOT:.4f}"
-            course = round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0
-            motion = speed, f"{course:.3f}"
-        return self.line(
-            "RMC", clock_text(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode
-        )
-
-    def hdt(self, heading: float) -> str:
-        """Return a true heading, given in rad."""
-        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
-
-    def rot(self, rate: float) -> str:
-        """Return a rate of turn, given in rad/s."""
-        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
-
-    def attitude(
-        self,
-        stamp: float,
-        heading: float,
-        tilt: tuple[float, float],
-        heave: float = math.nan,
-        sd: Sequence[float] | Array = (),
-    ) -> str:
-        """Return heading, roll, pitch and their standard deviations (rad), and heave (m, down).
-
-        Fields of what is NaN are empty.
-        """
-        degrees = [math.degrees(value) for value in (heading % (2.0 * math.pi), *tilt)]
-        fields = (
-            *("PASHR", clock_text(stamp)),
-            *(("", "") if math.isnan(heading) else (f"{degrees[0]:.2f}", "T")),
-            *("" if math.isnan(value) else f"{value:+.4f}" for value in degrees[1:]),
-            "" if math.isnan(heave) else f"{-heave:+.2f}",
-            *(f"{math.degrees(value):.3f}" for value in sd),
-            *[""] * (2 - len(sd)),
-            *("", "1"),
-        )
-        return self._whole(*fields)
-
-    def motion(self, stamp: float, after: float, mean: Array, sd: Array) -> str:
-        """Return a forecast (4,) of roll, pitch, heave and deck speed, with deviations (4,)."""
-        values = [*np.degrees(mean[:2]), *mean[2:], *np.degrees(sd[:2]), *sd[2:]]
-        texts = [f"{min(max(value, -999.0), 999.0):.2f}" for value in values]
-        fields = ("PUTWM", clock_text(stamp), f"{after:.1f}", *texts)
-        return self._whole(*fields)
-
-    def quiet(self, stamp: float, probabilities: Array) -> str:
-        """Return the probabilities (3,) of a quiet deck; fields of what is NaN are empty."""
-        values = probabilities.tolist()
-        texts = ("" if math.isnan(value) else f"{value:.2f}" for value in values)
-        fields = ("PUTWQ", clock_text(stamp), *texts)
-        return self._whole(*fields)
-
-    def predicted(
-        self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
-    ) -> str:
-        """Return a point of a prediction; see the head of this module.
-
-        Parameters
-        ----------
-        stamp, after : float
-            Time of day at which it was made, and the horizon, s.
-        place : tuple of float
-            Latitude and longitude, degrees.
-        heading : float
-            Rad.
-        cov : ndarray, shape (2, 2)
-            Covariance of north and east, m2.
-        """
-        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
-        both = float(sd[0] * sd[1])
-        correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
-        fields = (
-            *("PUTWP", clock_text(stamp), f"{after:.1f}"),
-            *_text(place[0], "NS", 2, 5),
-            *_text(place[1], "EW", 3, 5),
-            f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
-            *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
-            f"{correlation:.2f}",
-        )
-        return self._whole(*fields)
-
-    def health(self, stamp: float, sensor: str, status: str) -> str:
-        """Return the new status of a sensor; see the head of this module."""
-        fields = ("PUTWH", clock_text(stamp), sensor, status)
-        return self._whole(*fields)
-
-
-def clock_text(stamp: float) -> str:
-    """Return a time of day, s, as ``hhmmss.sss``."""
-    ms = round(1000.0 * stamp) % 86400000
-    minutes, ms = divmod(ms, 60000)
-    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
-
-
-def _text(angle: float, sides: str, digits: int, decimals: int) -> Sequence[str]:
-    """Return an angle, degrees, as ``ddmm.mmm`` and its side."""
-    unit = 10**decimals
-    degrees, rest = divmod(round(abs(angle) * 60.0 * unit), 60 * unit)
-    minutes, part = divmod(rest, unit)
-    text = f"{degrees:0{digits}d}{minutes:02d}.{part:0{decimals}d}"
-    return text, sides[0] if angle >= 0.0 else sides[1]
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()

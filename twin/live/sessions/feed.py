@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from twin.channels import COMMANDS
 from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
+from twin.live.protocols.nmea import NmeaReply
 from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
-from twin.predictors.base import Prediction
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
@@ -25,31 +25,38 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-REPLY = 0.2
-"""Time between two answers to a feed, s."""
+REPLY_EVERY_S = 0.2
+"""Time between two answers to a feed."""
 
-SILENT = 2.0
-"""After so much time of the clock without a row, s, a feed counts as silent."""
+SILENT_AFTER_S = 2.0
+"""Time of the clock without a row after which a feed counts as silent."""
 
 
 class FeedSession(Session):
     """A real boat, or an autopilot's simulator, as it comes over the wire.
 
-    The feed, which the twin's estimates go back to, is closed at the end. Logs are recorded to
-    ``folder``.
+    The twin's estimate goes to ``reply``. Feed and reply are closed at the end. Logs are recorded
+    to ``folder``.
     """
 
-    offers = "restart its twin, and record logs to the folder of --out"
-
-    def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
+    def __init__(
+        self,
+        feed: Feed,
+        twin: Twin,
+        vessel: Vessel | None,
+        folder: Path,
+        reply: NmeaReply | None = None,
+    ) -> None:
         super().__init__(vessel, twin.particulars, folder)
-        self.feed = feed
+        self.feed, self.reply = feed, reply
         self.monitor, self._cmd = TwinMonitor(twin), np.zeros(len(COMMANDS))
         self._answered, self._heard = -math.inf, math.nan
         self._waiting: deque[tuple[float, Array, Array]] = deque()
 
     def _close(self) -> None:
         self.feed.close()
+        if self.reply is not None:
+            self.reply.close()
         super()._close()
 
     def _advance(self) -> None:
@@ -59,7 +66,6 @@ class FeedSession(Session):
         while self._waiting and time.monotonic() < begun + MAX_LAG:
             t, z, cmd = self._waiting.popleft()
             self.monitor.step(t, z, cmd)
-            self._took(t, z)
             self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)
 
@@ -69,30 +75,20 @@ class FeedSession(Session):
             return None
         now = time.monotonic()
         silence = now - self._heard
-        silence = silence if silence > SILENT else 0.0
+        silence = silence if silence > SILENT_AFTER_S else 0.0
         boat = measured_boat(monitor.measured, self._cmd)
-        rate = self._rate(monitor.t) if silence == 0.0 else 0.0
-        seen = self._seen(boat, silence, rate=rate, notes=self.notes)
-        # no estimates go out for a boat that is no longer heard of
-        if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
-            self._answered = now
-            self._reply(seen.prediction)
-        return seen
-
-    def _took(self, t: float, z: Array) -> None:
-        """Do what is due after each row."""
-
-    def _reply(self, prediction: Prediction) -> None:
-        """Send estimate and prediction back."""
-        twin = self.monitor.twin
-        self.feed.send(twin.estimate(), prediction, twin.health)
+        # no estimate goes out for a boat that is no longer heard of
+        due = silence == 0.0 and now >= self._answered + REPLY_EVERY_S
+        if self.reply is not None and self.feed.plane is not None and due:
+            self._answered, estimate = now, monitor.twin.estimate()
+            self.reply.send(self.feed.plane, self.feed.stamp_of(estimate.t), estimate)
+        return self._seen(boat, silence, notes=self.notes)
 
     @property
     def datum(self) -> Datum | None:
         """The first fix."""
-        if self.feed.origin is None:
-            return None
-        return Datum(latitude=self.feed.origin[0], longitude=self.feed.origin[1])
+        plane = self.feed.plane
+        return None if plane is None else Datum(latitude=plane.latitude, longitude=plane.longitude)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import math
-import threading
 import time
 from pathlib import Path
 
@@ -15,20 +14,18 @@ from twin.digital_twin import PLANS, Twin, TwinError, known_plan
 from twin.live.sessions.session import (
     PUBLISHED,
     Session,
-    SessionError,
     Snapshot,
     measured_boat,
 )
 from twin.live.sessions.tracker import (
     HORIZON,
-    LOST_AFTER,
+    LOST_AFTER_S,
     PLAN_STEP,
     History,
     TwinMonitor,
     overlay_of,
     sensor_timeout,
 )
-from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
 from usv_gym.envs.scene import TwinOverlay
@@ -56,45 +53,27 @@ class LogSession(Session):
     come. Nothing is recorded twice.
     """
 
-    offers = "and choose the moment that all see"
-
     def __init__(
         self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "known"
     ) -> None:
-        _check_plan(plan)
+        if plan not in PLANS:
+            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         super().__init__(vessel, twin.particulars, folder)
-        self.log = log
-        self.at = float(log.t[0])
+        self.log, self.plan = log, plan
+        self.at = self.done = float(log.t[0])
         span = float(log.t[-1] - log.t[0])
         self._spacing = min(max(PUBLISHED, span / MOMENTS), MOST_APART)
-        self._anchor = time.monotonic(), self.at
         self._fixes, self._headings, self._turns = (
             np.flatnonzero(np.isfinite(log.z[:, column])) for column in (GPS_X, COMPASS, GYRO)
         )
         intervals = np.diff(log.t[self._fixes])
         self._timeout = sensor_timeout(float(np.median(intervals)) if len(intervals) else 1.0)
-        self._prepare(twin, plan)
-
-    def _prepare(self, twin: Twin, plan: str) -> None:
-        """Make a new twin, before the first row."""
-        self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
         self.monitor = TwinMonitor(twin)
-        self._estimated = np.full((len(self.log), 6), math.nan)
+        self._next, self._due = 0, -math.inf
+        self._estimated = np.full((len(log), 6), math.nan)
         self._moments: list[TwinOverlay | None] = []
         self._times: list[float] = []
-        self._over = threading.Event()
-        self._worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
-
-    def again(self, plan: str) -> None:
-        """Go through the log once more with another plan, up to the moment that is shown."""
-        _check_plan(plan)
-        self._over.set()
-        self._worker.join()
-        twin = self.monitor.twin
-        twin.reset()
-        self._prepare(twin, plan)
-        self._worker.start()
-        self.changed += 1
+        self._anchor_now()
 
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
@@ -103,64 +82,42 @@ class LogSession(Session):
 
     def seek(self, t: float) -> None:
         """Show another moment, s."""
-        if not math.isfinite(t):
-            raise SessionError(f"the moment {t} s: must be a finite time of the log")
         self.at = min(max(t, float(self.log.t[0])), self.done)
-        self._anchor = time.monotonic(), self.at
+        self._anchor_now()
 
     @property
-    def datum(self) -> Datum | None:
-        """That of the log."""
-        return self.log.datum
+    def t(self) -> float:
+        """The moment that is shown, s."""
+        return self.at
 
-    def _mark_restart(self) -> None:
-        super()._mark_restart()
-        self._anchor = time.monotonic(), self.at
-
-    def _run(self) -> None:
-        self._worker.start()
-        super()._run()
-
-    def _close(self) -> None:
-        self._over.set()
-        self._worker.join()
-        super()._close()
-
-    def _go_through(self) -> None:
-        """Feed the twin all rows, and keep its estimates in between."""
-        log, due = self.log, -math.inf
-        try:
-            for row, (t, z, cmd) in enumerate(log):
-                if self._over.is_set():
-                    return
-                truth = None if log.truth is None else log.truth[row]
-                self.monitor.step(t, z, cmd, truth)
-                predictor = self.monitor.twin.predictor
-                if self._moments and self._moments[-1] is not None:
-                    self._estimated[row] = predictor.state
-                if t >= due - 1e-9 or row == len(log) - 1:
-                    due, self._row = t + self._spacing, row
-                    made = self.monitor.predict(self._plan())
-                    if made is not None:
-                        self._estimated[row] = predictor.state
-                    self._moments.append(None if made is None else overlay_of(made))
-                    self._times.append(t)
-                self.done = t
-        except BaseException as error:
-            self.error = error
-
-    def _plan(self) -> str | Array:
-        if self.plan == "hold":
-            return "hold"
-        return known_plan(self.log, self._row, HORIZON, PLAN_STEP)
+    def _rest(self) -> float:
+        return super()._rest() if self._next == len(self.log) else 0.0
 
     def _advance(self) -> None:
         begin, first = self._anchor
-        now = time.monotonic()
-        self.at = first + (now - begin) * self.scale
-        if self.at > self.done:  # the twin is not there yet, or the run is over
-            self.at = self.done
-            self._anchor = now, self.at
+        begun = time.monotonic()
+        while self._next < len(self.log) and time.monotonic() < begun + PUBLISHED:
+            self._take_row()
+        if not self.paused:
+            self.at = first + (begun - begin) * self.scale
+            if self.at > self.done:  # the twin is not there yet, or the run is over
+                self.at = self.done
+                self._anchor_now()
+
+    def _take_row(self) -> None:
+        """Give the twin its next row, and keep its estimate."""
+        log, row = self.log, self._next
+        t, truth = float(log.t[row]), None if log.truth is None else log.truth[row]
+        self.monitor.step(t, log.z[row], log.cmd[row], truth)
+        if t >= self._due - 1e-9 or row == len(log) - 1:
+            self._due = t + self._spacing
+            plan = known_plan(log, row, HORIZON, PLAN_STEP) if self.plan == "known" else "hold"
+            made = self.monitor.predict(plan)
+            self._moments.append(None if made is None else overlay_of(made))
+            self._times.append(t)
+        if self._moments[-1] is not None:
+            self._estimated[row] = self.monitor.twin.predictor.state
+        self.done, self._next = t, row + 1
 
     def _look(self) -> Snapshot | None:
         if not self._times:
@@ -189,13 +146,13 @@ class LogSession(Session):
             t=t,
             boat=boat,
             overlay=self._overlay(row, t),
-            prediction=None,
+            motion=None,
             fixes=log.z[fixes[-FIXES:], GPS_X : GPS_X + 2],
             track=behind[np.isfinite(behind[:, 0])],
             ahead=ahead[np.isfinite(ahead[:, 0])],
             gps_age=ages[0],
             gps_lost=ages[0] > self._timeout,
-            imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER[1],
+            imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER_S,
             has_imu=len(turns) > 0,
             health=self.monitor.twin.health_history.at(t),
             current=self.monitor.current_at(t),
@@ -216,9 +173,3 @@ class LogSession(Session):
             ahead=made.ahead[later],
             covs=made.covs[later],
         )
-
-
-def _check_plan(plan: str) -> None:
-    """Refuse a plan that is none."""
-    if plan not in PLANS:
-        raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")

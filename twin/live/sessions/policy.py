@@ -53,8 +53,6 @@ class PolicySession(SailingSession):
         The agent does not suit the environment.
     """
 
-    offers = "lose its sensors, begin its next episode, and record logs to the folder of --out"
-
     def __init__(
         self, agent: Agent, folder: Path, *, seed: int = 0, predictor: str = DEFAULT,
         faults: Sequence[Disturbance] = (), **env: Any,
@@ -77,11 +75,6 @@ class PolicySession(SailingSession):
         self._rows: deque[Recorded] = deque()
         self._begin(seed)
 
-    @property
-    def t(self) -> float:
-        """Time of the episode that is shown, s."""
-        return float(self._row.t)
-
     def next_episode(self) -> None:
         """Begin the next episode; a log that is being recorded ends."""
         self.record(False)
@@ -98,7 +91,7 @@ class PolicySession(SailingSession):
         self._rows.clear()
         self._take_rows()
         self._play()
-        self._mark_restart()
+        self._anchor_now()
 
     def _decide(self) -> None:
         """Let the agent decide, and sail until its next decision."""
@@ -139,7 +132,7 @@ class PolicySession(SailingSession):
         path = self.envs.task.points[0].copy()
         notes = f"{self.agent.name} sails seed {self.seed}", f"last episode: {self._result}"
         state = self._row.state.copy()
-        return self._seen(state, path=path, sea=sea, rate=self._rate(self.t), notes=notes)
+        return self._seen(state, path=path, sea=sea, notes=notes)
 
     def _close(self) -> None:
         self.envs.close()

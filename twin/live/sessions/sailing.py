@@ -51,11 +51,6 @@ class SailingSession(Session):
 
     simulation: Simulation
 
-    @property
-    @abstractmethod
-    def t(self) -> float:
-        """Time of the row that is shown, s."""
-
     @abstractmethod
     def _sail(self) -> bool:
         """Sail and show one row; return whether the run goes on."""
@@ -80,18 +75,16 @@ class SailingSession(Session):
             raise SessionError(f"no sensor is called {kind!r}; use one of {', '.join(LOSSES)}")
         return self.simulation.faults[0, LOSSES.index(kind)]
 
-    def _mark_restart(self) -> None:
-        super()._mark_restart()
-        self._anchor = time.monotonic(), self.t
-
     def _rest(self) -> float:
         return self.simulation.dt / max(self.scale, 1e-3)
 
     def _advance(self) -> None:
+        if self.paused:
+            return
         begin, first = self._anchor
         now = time.monotonic()
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9 and self._sail():
             if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
-                self._anchor = time.monotonic(), self.t
+                self._anchor_now()
                 break

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, Full, Queue
+from queue import Empty, Queue
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from twin.channels import TRUTH
 from twin.integrity.monitor import SensorStatus
 from twin.live.sessions.recorder import Recorder
-from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
+from twin.live.sessions.tracker import LOST_AFTER_S, History, TwinMonitor, overlay_of
 from twin.logs.datum import Datum
+from twin.motion import MotionForecast
 from twin.particulars import Particulars
-from twin.predictors.base import Prediction
 from usv_gym.envs.scene import TwinOverlay
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
@@ -36,7 +36,6 @@ from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "MAX_LAG",
-    "PACES",
     "PUBLISHED",
     "Session",
     "SessionError",
@@ -52,15 +51,6 @@ PUBLISHED = 0.05
 
 MAX_LAG = 0.25
 """A session that is behind by more gives up catching up, s."""
-
-PACES = 0.1, 10.0
-"""Slowest and fastest pace, seconds of the run per second of the clock."""
-
-ORDERS = 100
-"""So many orders wait at most: pages may send them faster than they are carried out."""
-
-RATE_OVER = 2.0
-"""The pace is measured over so many seconds."""
 
 UNKNOWN = np.full(len(TRUTH), math.nan)
 
@@ -78,7 +68,7 @@ class Snapshot:
     # measured of it last; NaN in place and heading before
     boat: Array
     overlay: TwinOverlay | None  # estimate and prediction of the twin; None before a first fix
-    prediction: Prediction | None  # the same in full
+    motion: MotionForecast | None  # its forecast of roll, pitch and heave, where it has one
     # (F, 2), (T, 2): last fixes, and where the boat was, m north and east
     fixes: Array
     track: Array
@@ -97,7 +87,6 @@ class Snapshot:
     # (K, 2): way points, m north and east; none where no path is followed
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
     sea: Sea | None = None  # waves and wind; None where unknown
-    rate: float = math.nan  # seconds of the run per second of the clock
     # time of the clock for which nothing has come at all, s; 0 where that cannot be
     silence: float = 0.0
     notes: tuple[str, ...] = ()  # messages for the user
@@ -107,8 +96,8 @@ class Session(ABC):
     """A thread that runs a boat and its twin; subclasses define its steps.
 
     ``snapshot`` is the latest, ``fresh`` is set with every new one. ``scale`` is seconds of the run
-    per second of the clock; ``paused``: time stands still. ``changed`` counts how often another
-    boat or twin took over. ``message`` says what the last order could not do. ``recorder`` writes
+    per second of the clock; ``paused``: time stands still. ``message`` says what the last order
+    could not do. ``recorder`` writes
     the log that is being recorded, ``recorded`` is the file of the last one that was.
     ``error`` is what ended the thread.
     """
@@ -118,9 +107,6 @@ class Session(ABC):
     has_truth = False
     """Whether rows have the true state."""
 
-    offers = ""
-    """What a page can do beside looking, in words."""
-
     def __init__(self, vessel: Vessel | None, particulars: Particulars, folder: Path) -> None:
         self.vessel, self.particulars, self.folder = vessel, particulars, folder
         self.recorder: Recorder | None = None
@@ -129,10 +115,8 @@ class Session(ABC):
         self.snapshot: Snapshot | None = None
         self.scale, self.paused = 1.0, False
         self.error: BaseException | None = None
-        self.changed = 0
-        self._orders: Queue[Callable[[], None]] = Queue(ORDERS)
+        self._orders: Queue[Callable[[], None]] = Queue()
         self.fresh, self._stop = threading.Event(), threading.Event()
-        self._marks: list[tuple[float, float]] = []
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
     def history(self) -> History:
@@ -151,41 +135,41 @@ class Session(ABC):
 
     def order(self, call: Callable[..., None], *arguments: Any) -> None:
         """Have something done in the session's thread, between two steps."""
-        try:
-            self._orders.put_nowait(lambda: call(*arguments))
-        except Full:
-            self.report("orders came faster than they can be carried out; give this one again")
+        self._orders.put(lambda: call(*arguments))
 
     def report(self, text: str) -> None:
         """Show why an order was not carried out; may be called from any thread."""
         self.message = text
 
     def set_scale(self, scale: float) -> None:
-        """Change the pace; SessionError where it is outside :data:`PACES`."""
-        slowest, fastest = PACES
-        if not slowest <= scale <= fastest:
-            raise SessionError(
-                f"a time scale of {scale:g}: use one from {slowest:g} to {fastest:g}"
-            )
+        """Change the pace, seconds of the run per second of the clock."""
         self.scale = scale
-        self._mark_restart()
+        self._anchor_now()
 
     def set_paused(self, paused: bool) -> None:
         """Let time stand still, or go on."""
         self.paused = paused
-        self._mark_restart()
+        self._anchor_now()
 
     @abstractmethod
     def _advance(self) -> None:
-        """Advance to the present time of the clock, by no more than about :data:`MAX_LAG`."""
+        """Advance to the present time of the clock, in no more than about :data:`MAX_LAG`.
+
+        Where it is paused, time stands still.
+        """
 
     @abstractmethod
     def _look(self) -> Snapshot | None:
         """Return what is seen now; None while there is nothing."""
 
-    def _mark_restart(self) -> None:
-        """Restart the measurement of the pace, which has changed."""
-        self._marks.clear()
+    @property
+    def t(self) -> float:
+        """Time of what is shown, s."""
+        return self.monitor.t
+
+    def _anchor_now(self) -> None:
+        """Count the time of the run from now on."""
+        self._anchor = time.monotonic(), self.t
 
     def _close(self) -> None:
         """Release resources; in the session's thread, at its end."""
@@ -196,7 +180,6 @@ class Session(ABC):
         self.monitor.twin.reset()
         self.monitor = TwinMonitor(self.monitor.twin)
         self.snapshot = None
-        self.changed += 1
 
     @property
     def recording(self) -> bool:
@@ -204,12 +187,12 @@ class Session(ABC):
         return self.recorder is not None
 
     def record(self, on: bool) -> None:
-        """Begin to record a log, or end it; what cannot be written is kept."""
+        """Begin to record a log, or end it."""
         if on and self.recorder is None:
             self.recorder = Recorder(self.folder, self.particulars, with_truth=self.has_truth)
         elif not on and self.recorder is not None:
-            self.recorded = self.recorder.close() or self.recorded
-            self.recorder = None
+            recorder, self.recorder = self.recorder, None
+            self.recorded = recorder.close() or self.recorded
 
     @property
     def datum(self) -> Datum | None:
@@ -231,26 +214,22 @@ class Session(ABC):
         return 0 if recorder is None else recorder.rows
 
     def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
-        """Add a row to the log that is being recorded, if one is."""
-        if self.recorder is not None:
-            self.recorder.add(t, z, cmd, truth, self.datum)
-
-    def _flush(self) -> None:
-        """Write the rows that are due; what the disk does not take is kept, and reported."""
+        """Add a row to the log that is being recorded; one that the disk does not take ends."""
         if self.recorder is not None:
             try:
-                self.recorder.flush(now=False)
+                self.recorder.add(t, z, cmd, truth, self.datum)
             except OSError as error:
-                self.report(f"{_words(error)}; the rows are kept until it can be written")
+                path = self.recorder.path
+                with contextlib.suppress(OSError):
+                    self.record(False)
+                self.report(f"{path}: {error.strerror}; the log has ended there")
 
     def _run(self) -> None:
         due = time.monotonic()
         try:
             while not self._stop.is_set():
                 self._obey()
-                if not self.paused:
-                    self._advance()
-                self._flush()
+                self._advance()
                 now = time.monotonic()
                 if now >= due:
                     due = max(due + PUBLISHED, now)
@@ -284,15 +263,6 @@ class Session(ABC):
         """Return how long may be slept before the next step, s."""
         return 0.01
 
-    def _rate(self, t: float) -> float:
-        """Return seconds of the run per second of the clock, over the last two."""
-        now = time.monotonic()
-        self._marks.append((now, t))
-        while len(self._marks) > 2 and self._marks[0][0] < now - RATE_OVER:
-            self._marks.pop(0)
-        (begin, first), (end, last) = self._marks[0], self._marks[-1]
-        return (last - first) / (end - begin) if end - begin > 0.3 else math.nan
-
     def _plan(self) -> str | Array:
         """Return the commands of the next seconds, as far as they are known."""
         return "hold"
@@ -305,12 +275,12 @@ class Session(ABC):
             t=monitor.t,
             boat=boat,
             overlay=None if prediction is None else overlay_of(prediction),
-            prediction=prediction,
+            motion=None if prediction is None else prediction.motion,
             fixes=np.array(monitor.fixes).reshape(-1, 2),
             track=np.array(monitor.track).reshape(-1, 2),
             gps_age=monitor.gps_age + silence,
             gps_lost=monitor.gps_age + silence > monitor.sensor_timeout,
-            imu_lost=monitor.imu_age + silence > LOST_AFTER[1],
+            imu_lost=monitor.imu_age + silence > LOST_AFTER_S,
             has_imu=monitor.has_imu,
             health=monitor.twin.health,
             current=monitor.current_at(monitor.t),

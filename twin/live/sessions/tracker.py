@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import Twin
-from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_gym.envs.scene import TwinOverlay
@@ -20,7 +19,7 @@ from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
     "HORIZON",
-    "LOST_AFTER",
+    "LOST_AFTER_S",
     "PLAN_STEP",
     "History",
     "TwinMonitor",
@@ -45,8 +44,8 @@ FIXES, TRACK = 400, 1500
 HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
 """Time between two rows of the curves at first, s, and how many rows make them half as dense."""
 
-LOST_AFTER = 3.0, 0.5
-"""A sensor counts as lost after so many nominal intervals, and s at least."""
+INTERVALS_MISSED, LOST_AFTER_S = 3.0, 0.5
+"""A sensor counts as lost after so many nominal intervals, and at least so much time."""
 
 SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
@@ -69,8 +68,7 @@ def overlay_of(prediction: Prediction) -> TwinOverlay:
 
 def sensor_timeout(interval: float) -> float:
     """Return the time without a sample, s, after which a sensor of that interval counts as lost."""
-    times, least = LOST_AFTER
-    return max(times * interval, least)
+    return max(INTERVALS_MISSED * interval, LOST_AFTER_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +115,6 @@ class TwinMonitor:
         self._place = (math.nan, math.nan)
         self._rows: list[tuple[tuple[float, ...], Array, Array]] = []
         self._step = HISTORY_STEP
-
-    @property
-    def particulars(self) -> Particulars:
-        """The boat as its twin knows it."""
-        return self.twin.particulars
 
     @property
     def gps_age(self) -> float:
@@ -222,7 +215,7 @@ class TwinMonitor:
         else:
             s = self.twin.predictor.state
             self._place = float(s[0]), float(s[1])
-        far = SPACING * self.particulars.length
+        far = SPACING * self.twin.particulars.length
         there = math.isfinite(self._place[0])
         if there and (not self.track or math.dist(self.track[-1], self._place) > far):
             self.track.append(self._place)

@@ -107,11 +107,6 @@ class Curves:
         self.panel.dock_right()
         self.panel.set_width(WIDTH)
 
-    def remove(self) -> None:
-        """Take the panel away, for that of another twin."""
-        self.style.remove()
-        self.panel.remove()
-
     def show(self) -> None:
         """Draw the curves up to now."""
         seen = self.session.history()
@@ -134,7 +129,7 @@ class Curves:
     def _show_deck(self) -> None:
         """Draw the forecast of roll, pitch, heave and deck speed, if there is one."""
         now = self.session.snapshot
-        motion = None if now is None or now.prediction is None else now.prediction.motion
+        motion = None if now is None else now.motion
         self.no_deck.visible = motion is None
         for curve, drawn in zip(self.deck, DECK_CURVES, strict=True):
             curve.visible = motion is not None

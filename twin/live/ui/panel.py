@@ -7,15 +7,12 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import U
-from twin.digital_twin import PLANS
-from twin.live.external.simulated import SitlSession
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -28,7 +25,7 @@ from usv_gym.envs.scene import SDS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
-from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sea import SEA_STATES
 
 if TYPE_CHECKING:
     import viser
@@ -41,9 +38,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-
-SEEDS = 2**32 - 1
-"""Largest seed that can be entered."""
 
 THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the nominal shaft speed, degrees."""
@@ -66,7 +60,7 @@ class Controls(ABC):
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(LEFT)
         self.status = self.gui.add_html("")
-        self.gui.add_html(key(path=isinstance(session, SimulatedSession | PolicySession)))
+        self.gui.add_html(key(path=isinstance(session, PolicySession)))
         self._add_time()
         self.add()
 
@@ -190,37 +184,14 @@ class SimulatedControls(LossControls):
         ):
             self._on_key(key, slider, step)
         self._add_losses()
-        setup = session.setup
+        self._button("restart", session.restart, key="R")
         with self.gui.add_folder("Weather", expand_by_default=False):
-            known = next((name for name, sea in SEA_STATES.items() if sea == setup.sea), "as given")
-            names = tuple(
-                name for name, sea in SEA_STATES.items() if name != "calm" and not sea.schedule
-            )
-            self.sea = self.gui.add_dropdown(
-                "sea state",
-                names if known in names else (known, *names),
-                initial_value=known,
-            )
-            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(setup.sea.wind, 1))
-            degrees = round(math.degrees(setup.sea.wind_from)) % 360
-            self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
-            self.sea.on_update(lambda _: order(self._set_sea))
-            for slider in (self.wind, self.wind_from):
-                slider.on_update(lambda _: order(self._set_wind))
-        with self.gui.add_folder("Boat and twin", expand_by_default=False):
-            self.vessel = self.gui.add_dropdown(
-                "vessel", tuple(session.vessels), initial_value=setup.vessel.name
-            )
-            self.predictor = self.gui.add_dropdown(
-                "predictor", session.predictors, initial_value=setup.predictor
-            )
-            self.dof = self.gui.add_dropdown(
-                "degrees of freedom", ("6", "3"), initial_value=str(setup.dof)
-            )
-            self.seed = self.gui.add_number(
-                "seed", setup.seed, min=0, max=max(SEEDS, setup.seed), step=1
-            )
-            self._button("restart", self._restart, key="R")
+            given = session.setup.sea
+            seas = {name: sea for name, sea in SEA_STATES.items() if not sea.schedule}
+            known = next((name for name, sea in seas.items() if sea == given), "as given")
+            self.seas = {known: given, **seas}
+            self.sea = self.gui.add_dropdown("sea state", tuple(self.seas), initial_value=known)
+            self.sea.on_update(lambda _: order(session.change_sea, self.seas[self.sea.value]))
 
     # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
     # side, and two quick presses of a key would move the slider only once.
@@ -243,41 +214,11 @@ class SimulatedControls(LossControls):
 
         command.on_trigger(move)
 
-    def _chosen_sea(self) -> SeaState:
-        sea = SEA_STATES.get(self.sea.value, self.session.setup.sea)
-        if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
-            return sea
-        # a sea that changes by itself ends with the first change by hand
-        given = {"schedule": (), "hs": sea.hs} if sea.schedule else {}
-        wind_from = math.radians(self.wind_from.value)
-        return sea.replace(wind=float(self.wind.value), wind_from=wind_from, **given)
-
-    # In the session's thread, so that what fails is answered on the page.
-
-    def _set_wind(self) -> None:
-        self.session.change_sea(self._chosen_sea(), waves=False)
-
-    def _set_sea(self) -> None:
-        """Take over the wind that goes with a sea state."""
-        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.setup.sea).wind, 1)
-        self.session.change_sea(self._chosen_sea())
-
-    def _restart(self) -> None:
-        setup = replace(
-            self.session.setup,
-            vessel=self.session.vessels[self.vessel.value],
-            sea=self._chosen_sea(),
-            predictor=self.predictor.value,
-            dof=int(self.dof.value),
-            seed=int(self.seed.value or 0),  # an emptied field is None
-        )
-        self.session.restart(setup)
-
 
 class FeedControls(Controls):
     """A boat that others steer takes no orders, and its time cannot be stopped."""
 
-    session: FeedSession | SitlSession
+    session: FeedSession
 
     def add(self) -> None:
         """Add what helps when another boat begins to send."""
@@ -305,13 +246,6 @@ class LogControls(Controls):
             )
             self.progress = self.gui.add_progress_bar(0.0)
             self.gui.add_html(small("Bar: how far the twin has come through the log."))
-            self.plan = self.gui.add_dropdown(
-                "commands ahead",
-                PLANS,
-                initial_value=self.session.plan,
-                hint="known: the twin is given those that follow; hold: the last one stays",
-            )
-            self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
 
         def seek(event: Any) -> None:
             if event.client is not None:  # only changes by the user, not by show()
@@ -331,7 +265,7 @@ class LogControls(Controls):
 
 
 def controls_of(server: viser.ViserServer, session: Session) -> Controls:
-    """Return the controls that suit a session; who looks on has those of a feed."""
+    """Return the controls that suit a session."""
     if isinstance(session, SimulatedSession):
         return SimulatedControls(server, session)
     if isinstance(session, PolicySession):
@@ -344,7 +278,7 @@ def controls_of(server: viser.ViserServer, session: Session) -> Controls:
 def said(now: Snapshot, session: Session) -> dict[str, str]:
     """Return what the instruments say, each under its name."""
     overlay, state = now.overlay, now.boat
-    lines = {"time": f"{now.t:.1f} s" + (f" ({now.rate:.2g}x)" if now.rate == now.rate else "")}
+    lines = {"time": f"{now.t:.1f} s"}
     if overlay is not None:
         u, v, r = overlay.state[U:]
         lines["speed (twin)"] = f"{math.hypot(u, v):.2f} m/s"
@@ -352,8 +286,8 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(overlay.covs[-1])[-1]), 0.0))
         lines[f"interval at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
-    if now.prediction is not None and now.prediction.motion is not None:
-        lines |= deck_lines(now.prediction.motion)
+    if now.motion is not None:
+        lines |= deck_lines(now.motion)
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession | PolicySession):

@@ -27,7 +27,6 @@ __all__ = [
     "BLUE",
     "GREEN",
     "GREY",
-    "ORANGE",
     "PALE",
     "PURPLE",
     "RED",
@@ -40,7 +39,7 @@ Colour = tuple[int, int, int]
 
 # colours that people with any colour vision can tell apart
 # Source: Okabe and Ito (2008), Color Universal Design.
-BLUE, GREEN, RED, ORANGE = (0, 114, 178), (0, 158, 115), (213, 94, 0), (230, 159, 0)
+BLUE, GREEN, RED = (0, 114, 178), (0, 158, 115), (213, 94, 0)
 
 PURPLE, GREY, PALE = (150, 52, 116), (90, 96, 100), (255, 206, 120)
 
@@ -61,8 +60,6 @@ STEPS, ACROSS = 40, 7
 
 RING = 72
 
-BEATS = 20.0
-
 
 class SceneView:
     """A scene of a server that is kept like the latest snapshot of a boat."""
@@ -72,8 +69,6 @@ class SceneView:
         self.scene.set_up_direction("+z")
         self._light()
         self.length = float(np.ptp(boat.whole().vertices[:, 0]))
-        self.spin = [0.0, 0.0]
-        self._last_t = math.nan
         self.place = np.zeros(2)
         thick, L = 0.03 * self.length, self.length
         add = self.scene
@@ -157,10 +152,6 @@ class SceneView:
             np.broadcast_to(top + share * (horizon - top), (64, 4, 3)).astype(np.uint8)
         )
 
-    def remove(self) -> None:
-        """Take the scene away, for that of another boat."""
-        self.root.remove()
-
     def show(self, now: Snapshot) -> None:
         """Make the scene like a snapshot."""
         if np.isfinite(now.boat[[fr.X, fr.Y]]).all():
@@ -185,8 +176,7 @@ class SceneView:
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
         self.lost.text = ", ".join(losses)
         self.lost.position = (*place.tolist(), -1.0 * self.length)
-        motion = None if now.prediction is None else now.prediction.motion
-        self._show_overlay(now.overlay, motion, height)
+        self._show_overlay(now.overlay, now.motion, height)
         self._draw(self.track, now.track, height)
         self._draw(self.ahead, now.ahead, height, 0.075)
         self._draw(self.path, nearest(now.path, place), height)
@@ -206,7 +196,7 @@ class SceneView:
         """Add the boat's parts; return the frame that they hang on."""
         frame = self.scene.add_frame("/sea/boat", show_axes=False)
         paths = {"": "/sea/boat"}
-        self._moving: list[tuple[Any, Any]] = []
+        self._steered: list[tuple[int, Any]] = []
         for part in self.boat.parts:
             paths[part.name] = f"{paths[part.parent]}/{part.name}"
             handle = self.scene.add_mesh_simple(
@@ -218,8 +208,8 @@ class SceneView:
                 position=part.position,
                 receive_shadow=False,
             )
-            if part.moves:
-                self._moving.append((part, handle))
+            if part.moves == "steer":
+                self._steered.append((part.unit, handle))
         return frame
 
     def _show_boat(self, now: Snapshot) -> None:
@@ -229,17 +219,8 @@ class SceneView:
             return
         self.hull.position = tuple(state[[fr.X, fr.Y, fr.Z]])
         self.hull.wxyz = attitude(*state[[fr.PHI, fr.THETA, fr.PSI]])
-        dt = now.t - self._last_t if now.t > self._last_t else 0.0
-        self._last_t = now.t
-        for unit in range(fr.UNITS):
-            # slower than in truth: at 20 frames a second a propeller would seem to stand
-            turns = state[fr.N_LEFT + unit] * dt / BEATS
-            self.spin[unit] = math.remainder(self.spin[unit] + 2.0 * math.pi * turns, 2.0 * math.pi)
-        for part, handle in self._moving:
-            if part.moves == "steer":
-                handle.wxyz = attitude(0.0, 0.0, -float(state[fr.DELTA_LEFT + part.unit]))
-            else:
-                handle.wxyz = attitude(self.spin[part.unit], 0.0, 0.0)
+        for unit, handle in self._steered:
+            handle.wxyz = attitude(0.0, 0.0, -float(state[fr.DELTA_LEFT + unit]))
 
     def _show_overlay(
         self,

@@ -1,9 +1,8 @@
-"""The server of a view: viser's, with a check of each request and of each message."""
+"""The server of a view: viser's, with a check of each request."""
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 import logging
 from collections.abc import Callable, Iterator
@@ -15,49 +14,27 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from twin.live.ui.access import Access, AccessError
-from twin.live.ui.messages import RefusedError, checked
 
 __all__ = [
     "start_server",
 ]
 
-LARGEST = 1 << 16
-"""Bytes of the largest message that a browser may send: a pose of its camera has 300."""
 
-PROTOCOL = f"viser-v{viser.__version__}"
-
-
-def start_server(access: Access, port: int, report: Callable[[str], None]) -> viser.ViserServer:
+def start_server(access: Access, port: int) -> viser.ViserServer:
     """Start viser's server at the host of an access, and at a port or the next free one.
-
-    ``report`` is given the reason when a browser sends what no control offers.
 
     Raises
     ------
     AccessError
         If this release of viser does not serve in a way that can be checked.
     """
-    found: list[viser.ViserServer] = []
-
-    class Connection(ServerConnection):
-        """A WebSocket that hands on what passes the check."""
-
-        async def recv(self, decode: bool | None = None) -> Any:
-            while True:
-                raw = await super().recv(decode)
-                try:
-                    return checked(found[0].gui, raw)
-                except RefusedError as error:
-                    report(f"refused what a browser sent: {error}")
-
     with (
-        _served_by(access, Connection) as count,
+        _checked_by(access) as starts,
         # the server prints its address; the command does so in one line
         contextlib.redirect_stdout(io.StringIO()),
     ):
         server = viser.ViserServer(host=access.host, port=port, label="usv-twin", verbose=False)
-    found.append(server)
-    if not count:
+    if not starts:
         server.stop()
         raise AccessError(
             f"viser {viser.__version__} serves without our checks; install another: "
@@ -67,25 +44,25 @@ def start_server(access: Access, port: int, report: Callable[[str], None]) -> vi
 
 
 @contextlib.contextmanager
-def _served_by(access: Access, connection: type[ServerConnection]) -> Iterator[list[int]]:
-    """Let viser, which has no hook for it, start its server with our checks; yield its starts."""
-    plain, count = websockets_server.serve, []
+def _checked_by(access: Access) -> Iterator[list[int]]:
+    """Let viser, which has no hook for it, start its server with our check; yield its starts."""
+    plain, starts = websockets_server.serve, []
+    # anybody can send a request that is none
+    silent = logging.getLogger("usv_twin.view")
+    silent.addHandler(logging.NullHandler())
+    silent.propagate = False
 
-    def serve(
-        handler: Any, *arguments: Any, process_request: Callable[..., Any], **options: Any
-    ) -> Any:
-        count.append(1)
-        options |= {
-            "process_request": functools.partial(_answer, access, process_request),
-            "create_connection": connection,
-            "max_size": LARGEST,
-            "logger": _silent(),
-        }
-        return plain(handler, *arguments, **options)
+    def serve(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
+        starts.append(1)
+
+        def answer(connection: ServerConnection, request: Request) -> Response | None:
+            return _answer(access, process_request, connection, request)
+
+        return plain(handler, *arguments, **options, process_request=answer, logger=silent)
 
     websockets_server.serve = serve  # type: ignore[assignment, misc]
     try:
-        yield count
+        yield starts
     finally:
         websockets_server.serve = plain  # type: ignore[misc]
 
@@ -98,25 +75,12 @@ def _answer(
 ) -> Response | None:
     """Refuse a request, or let viser answer it."""
     try:
-        refused = access.refusal(connection, request)
+        refused = access.refusal(request)
         if refused is not None:
-            return refused
-        if request.headers.get("Upgrade", "").lower() == "websocket":
-            # another release's page, or none of viser's
-            offered = request.headers.get("Sec-WebSocket-Protocol", "")
-            known = PROTOCOL in [one.strip() for one in offered.split(",")]
-            return None if known else connection.respond(400, "Load the page again.\n")
+            return connection.respond(403, f"{refused}\n")
         response = pages(connection, request)
         if response is not None:
-            response.headers.update(access.headers(connection, request))
+            response.headers.update(access.headers(request))
         return response
-    except Exception:  # two headers of a name, a path that is none
+    except Exception:  # no host or two of them, a path that is none
         return connection.respond(400, "This request cannot be read.\n")
-
-
-def _silent() -> logging.Logger:
-    """Return a logger that says nothing: anybody can send a request that is none."""
-    logger = logging.getLogger("usv_twin.view")
-    logger.addHandler(logging.NullHandler())
-    logger.propagate = False
-    return logger

@@ -14,7 +14,6 @@ from twin.live.ui.panel import controls_of
 from twin.live.ui.scene import SceneView
 from twin.live.ui.server import start_server
 from usv_gym.vessel.geometry import Boat, Form, boat_of
-from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Viewer",
@@ -45,12 +44,11 @@ class Viewer:
         check_host(host)
         self.session, self.frames = session, 0
         self.access = access or Access.of(host)
-        self.server: Any = start_server(self.access, port, session.report)
+        self.server: Any = start_server(self.access, port)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.scene = SceneView(self.server, boat(session))
         self.controls = controls_of(self.server, session)
         self.curves = Curves(self.server, session)
-        self._changed = session.changed
         self._shown: Snapshot | None = None
         self._curves_due, self._curves_behind = 0.0, False
 
@@ -81,17 +79,6 @@ class Viewer:
 
     def step(self, now: float) -> None:
         """Make one frame, if there is anything new."""
-        if self.session.changed != self._changed:
-            self._rebuild()
-        try:
-            self._show(now)
-        except Exception:
-            # another boat or twin took over within the frame: the next one shows it
-            if self.session.changed == self._changed:
-                raise
-
-    def _show(self, now: float) -> None:
-        """Show the latest snapshot, and the curves when they are due."""
         snapshot = self.session.snapshot
         if snapshot is None:
             self.controls.show_nothing()
@@ -112,19 +99,6 @@ class Viewer:
         """Send every browser away."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-    def _rebuild(self) -> None:
-        """Show another boat and another twin; a hull that cannot be drawn stays the last one."""
-        self._changed = self.session.changed
-        try:
-            hull = boat(self.session)
-        except (UsvTwinError, OSError) as error:
-            self.session.report(str(error))
-        else:
-            self.scene.remove()
-            self.scene = SceneView(self.server, hull)
-        self.curves.remove()
-        self.curves = Curves(self.server, self.session)
 
 
 def boat(session: Session) -> Boat:

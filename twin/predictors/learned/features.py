@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 
 __all__ = [
     "ActuatedPredictor",
+    "LearnedPredictor",
     "fill_forward",
     "integrate",
     "lagged",
@@ -85,13 +86,10 @@ def integrate(start: Array, velocity: Array) -> Array:
     return np.concatenate([np.stack([x, y, psi], axis=2), velocity[:, 1:]], axis=2)
 
 
-class ActuatedPredictor(HistoryPredictor):
-    """A predictor whose history holds the actuators, which follow the commands with a lag.
+class LearnedPredictor(HistoryPredictor):
+    """A predictor whose forecasts keep within bounds that follow from the particulars."""
 
-    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are estimated to be.
-    """
-
-    constants = ("typical", "bound")
+    constants: ClassVar[tuple[str, ...]] = ("typical", "bound")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         U, L = particulars.speed, particulars.length
@@ -101,17 +99,24 @@ class ActuatedPredictor(HistoryPredictor):
         """Largest u, v, r of a forecast, and of a row worth learning from."""
         super().__init__(particulars, seed=seed)
 
+    def held(self, start: Array, steps: int) -> Array:
+        """Return the states (B, steps, 6) of boats that keep their velocities, within bounds."""
+        nu = np.clip(start[:, 3:], -self.bound, self.bound)
+        return hold_velocity(start, nu, GRID * np.arange(1, steps + 1))
+
+
+class ActuatedPredictor(LearnedPredictor):
+    """A predictor whose history holds the actuators, which follow the commands with a lag.
+
+    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are estimated to be.
+    """
+
     def reset(self) -> None:
         """See :meth:`Predictor.reset`."""
         super().reset()
         self._act = np.full(4, math.nan)
         self._extra = np.zeros(4)
         self._last = np.zeros(14)
-
-    def held(self, start: Array, steps: int) -> Array:
-        """Return the states (B, steps, 6) of boats that keep their velocities, within bounds."""
-        nu = np.clip(start[:, 3:], -self.bound, self.bound)
-        return hold_velocity(start, nu, GRID * np.arange(1, steps + 1))
 
     def extra_columns(self, dt: float) -> Array:
         """Return the actuators at the row that just came, shape (4,)."""

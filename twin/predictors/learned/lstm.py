@@ -23,11 +23,13 @@ from twin.predictors.baselines import (
     GRID,
     STATES,
     VELOCITIES,
-    HistoryPredictor,
-    hold_velocity,
 )
-from twin.predictors.learned.features import fill_forward, lstm_cell, thrust_features
-from twin.predictors.learned.memo import MISSING, Memo
+from twin.predictors.learned.features import (
+    LearnedPredictor,
+    fill_forward,
+    lstm_cell,
+    thrust_features,
+)
 
 __all__ = [
     "LSTMPredictor",
@@ -41,25 +43,20 @@ Array = NDArray[np.float64]
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
 
-_SETTINGS = ("warm", "ahead", "hidden", "epochs", "rate", "decay", "noise", "dropout")
-"""Attributes of :class:`LSTMPredictor` that a training depends on."""
-
-_TRAINED = Memo(16)
-"""Nets of the last trainings."""
-
-REMEDY = "{} needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
-
 
 class MissingTorch(ImportError):
     """Torch is not installed; the message says how to get it."""
 
 
-def import_torch(what: str = "the LSTM predictor") -> Any:
-    """Return the module torch, or say what needs it and how to get it."""
+def import_torch() -> Any:
+    """Return the module torch, or say how to get it."""
     try:
         return importlib.import_module("torch")
     except ImportError as error:
-        raise MissingTorch(REMEDY.format(what)) from error
+        raise MissingTorch(
+            "the LSTM predictor needs torch: python -m pip install torch (the extra [lstm] of "
+            "usv-twin)"
+        ) from error
 
 
 @contextmanager
@@ -103,7 +100,7 @@ class _Net:
         return np.clip((x - self.centre) * self.scale, -INPUT_MAX, INPUT_MAX)
 
 
-class LSTMPredictor(HistoryPredictor):
+class LSTMPredictor(LearnedPredictor):
     """An LSTM trained once on the run's own past, then rolled out under the plan.
 
     Its inputs are the last :attr:`warm` steps of (u, v, r) and of the commands, then its own
@@ -218,13 +215,10 @@ class LSTMPredictor(HistoryPredictor):
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
         rows = fill_forward(rows)
         plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
-        bound = self._bound
-        start = rows[origins, STATES]
-        nu = np.clip(start[:, 3:], -bound, bound)
-        K = plans.shape[1]
-        net = self._net
+        start, K, net = rows[origins, STATES], plans.shape[1], self._net
         if net is None:
-            return hold_velocity(start, nu, GRID * np.arange(1, K + 1))
+            return self.held(start, K)
+        nu = np.clip(start[:, 3:], -self.bound, self.bound)
         before = np.maximum(origins[:, None] + np.arange(-self.warm, 1), 0)
         thrust = thrust_features(rows[before[:, 1:], COMMANDED])
         past = net.scaled(rows[before[:, :-1], VELOCITIES], thrust)
@@ -236,7 +230,7 @@ class LSTMPredictor(HistoryPredictor):
         thrust = thrust_features(plans)
         for k in range(K):
             h, c = net.advance(net.scaled(nu, thrust[:, k]), h, c)
-            new = np.clip(nu + net.increment(h), -bound, bound)
+            new = np.clip(nu + net.increment(h), -self.bound, self.bound)
             u, v, r = (0.5 * (nu + new)).T
             middle = psi + 0.5 * GRID * r
             x = x + GRID * (u * np.cos(middle) - v * np.sin(middle))
@@ -246,20 +240,10 @@ class LSTMPredictor(HistoryPredictor):
             out[:, k, 0], out[:, k, 1], out[:, k, 2], out[:, k, 3:] = x, y, psi, nu
         return out
 
-    @property
-    def _typical(self) -> Array:
-        U, L = self.particulars.speed, self.particulars.length
-        return np.array([U, U, U / L])
-
-    @property
-    def _bound(self) -> Array:
-        """Largest u, v, r of a forecast, and of a row worth learning from."""
-        return 3.0 * self._typical
-
     def _train(self, rows: Array) -> _Net | None:
         """Return a net that learned from rows (M, 10), or None where nothing can be learned."""
         wild = ~np.isfinite(rows)
-        wild[:, VELOCITIES] |= ~(np.abs(rows[:, VELOCITIES]) <= self._bound)
+        wild[:, VELOCITIES] |= ~(np.abs(rows[:, VELOCITIES]) <= self.bound)
         length = self.warm + self.ahead + 1
         index = np.arange(0, len(rows) - length + 1, self.stride)[:, None] + np.arange(length)
         index = index[~wild[index].any(axis=(1, 2))]
@@ -268,18 +252,18 @@ class LSTMPredictor(HistoryPredictor):
         used = rows[np.unique(index)]
         inputs = np.concatenate([used[:, VELOCITIES], thrust_features(used[:, COMMANDED])], axis=1)
         sd = inputs.std(axis=0)
-        if (sd[:3] < 1e-3 * self._typical).all():
+        if (sd[:3] < 1e-3 * self.typical).all():
             return None
         # a command that never changed gets no weight, now or later
         shaft = self.particulars.shaft_speed
         scale = np.concatenate(
             [
-                1.0 / np.maximum(sd[:3], 1e-2 * self._typical),
+                1.0 / np.maximum(sd[:3], 1e-2 * self.typical),
                 np.where(sd[3:] > 1e-2 * shaft**2, 1.0 / np.maximum(sd[3:], 1e-9), 0.0),
             ]
         )
         nu, cmd = rows[index, VELOCITIES], rows[index[:, 1:], COMMANDED]
-        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._typical)
+        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self.typical)
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
         bias = rng.uniform(-bound, bound, 4 * H)
@@ -296,13 +280,7 @@ class LSTMPredictor(HistoryPredictor):
             b_out=np.zeros(3),
         )
         inputs, target = net.scaled(nu[:, :-1], thrust_features(cmd)), nu[:, self.warm + 1 :]
-        settings = {name: getattr(self, name) for name in _SETTINGS}
-        key = Memo.key([*vars(net).values(), inputs, target], settings, rng.bit_generator.state)
-        trained = _TRAINED.find(key)
-        if trained is MISSING:
-            trained = self._fit(net, inputs, target, rng)
-            _TRAINED.keep(key, trained)
-        return trained  # type: ignore[no-any-return]
+        return self._fit(net, inputs, target, rng)
 
     def _fit(
         self, net: _Net, inputs: Array, target: Array, rng: np.random.Generator

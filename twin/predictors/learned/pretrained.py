@@ -30,7 +30,6 @@ from twin.predictors.learned.features import (
     lstm_cell,
     thrust_features,
 )
-from twin.predictors.learned.memo import MISSING, Memo
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import replacing
 
@@ -44,7 +43,6 @@ __all__ = [
     "FleetTransformer",
     "Weights",
     "WeightsError",
-    "gated",
     "run_lstm",
     "run_transformer",
     "tokens",
@@ -81,8 +79,6 @@ MASKS = slice(14, ROW)
 MOTION, COS, SIN, FRESH, KNOWN = slice(0, 3), 3, 4, slice(5, 8), 8
 """In a row of a token: velocities, heading, masks, whether the row is known."""
 
-GPS_FRESH, COMPASS_FRESH, IMU_FRESH = range(FRESH.start, FRESH.stop)
-
 THRUST, DIFFERENCE, SIDE_FORCE, ANGLES = range(KNOWN + 1, PER_ROW)
 """In a row of a token: what the actuators do."""
 
@@ -102,7 +98,7 @@ STEP = 0.5
 """Increments of u, v, r over their typical size, per length travelled, of an output of 1."""
 
 BATCH = {"lstm": 8, "transformer": 1}
-"""Several inputs are padded to a multiple of this: then equal ones have equal answers.
+"""Several inputs are padded to a multiple of this: then each has the same answer among any others.
 
 A transformer multiplies matrices of one input at a time.
 """
@@ -137,27 +133,12 @@ class Weights:
     def run(self, x: Array) -> Array:
         """Return the net's outputs (B, AHEAD, 3 PATCH) for :func:`tokens`."""
         net = {"lstm": run_lstm, "transformer": run_transformer}[self.kind]
-        return net(self.arrays, gated(x, self.settings.get("gate", 0.0)))
+        return net(self.arrays, x)
 
-    @functools.cached_property
-    def _kept(self) -> Memo:
-        """The last answers, 480 bytes each."""
-        return Memo(20_000)
-
-    def answers(self, x: Array) -> Array:
-        """Return the same as :meth:`run`; inputs that were met before cost next to nothing.
-
-        Runs that differ by a late fault have the same past forecasts up to it.
-        """
-        keys = [Memo.key([one]) for one in x]
-        said = [self._kept.find(key) for key in keys]
-        new = [k for k, answer in enumerate(said) if answer is MISSING]
-        if new:
-            padded = new + new[-1:] * (-len(new) % BATCH[self.kind])
-            for k, answer in zip(new, self.run(x[padded]), strict=False):
-                said[k] = answer.copy()
-                self._kept.keep(keys[k], said[k])
-        return np.stack(said)
+    def run_padded(self, x: Array) -> Array:
+        """Return the same as :meth:`run`, to the bit whatever inputs an input comes with."""
+        padding = np.repeat(x[-1:], -len(x) % BATCH[self.kind], axis=0)
+        return self.run(np.concatenate([x, padding]))[: len(x)]
 
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
@@ -242,18 +223,6 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     about[:, PAST:, PLANNED] = 1.0
     out = np.clip(out, -INPUT_MAX, INPUT_MAX).reshape(B, PAST + AHEAD, PATCH * PER_ROW)
     return np.concatenate([out, about], axis=2).astype(np.float32)
-
-
-def gated(x: Array, gate: float) -> Array:
-    """Return tokens (B, PAST + AHEAD, TOKEN) whose past velocities fade with their sensors' masks.
-
-    ``gate`` is what fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
-    """
-    out = x.copy()
-    rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
-    rows[..., MOTION] *= 1.0 - gate * (1.0 - rows[..., [GPS_FRESH, GPS_FRESH, IMU_FRESH]])
-    out[:, :PAST, : PATCH * PER_ROW] = rows.reshape(len(x), PAST, -1)
-    return out
 
 
 def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
@@ -373,7 +342,7 @@ class FleetPredictor(ActuatedPredictor):
         window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         weights = _shipped(self.file, self.kind)
         # a forecast from the present is made once, with a plan of its own
-        net = weights.run if origins[-1] == len(rows) - 1 else weights.answers
+        net = weights.run if origins[-1] == len(rows) - 1 else weights.run_padded
         out = []
         # beyond its horizon the net goes on from its own outputs
         for first in range(0, plans.shape[1], block):

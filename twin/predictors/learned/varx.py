@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import State, check_fields
 from twin.particulars import Particulars
 from twin.predictors.baselines import (
     ACTUATORS,
@@ -65,7 +64,7 @@ class VARPredictor(ActuatedPredictor):
 
     tuning = "39 configurations on 12 tuning seeds"
 
-    constants = ("stride", "_fit")
+    constants = ("stride",)
 
     order = 4
     """Steps looked back on."""
@@ -92,24 +91,7 @@ class VARPredictor(ActuatedPredictor):
         self._next_at = 0
         # sums of products of 1, the regressors and the changes
         self._products = np.zeros((1 + 11 * self.order + 3,) * 2)
-        self._fit: tuple[Array, Array] | None = None
-
-    def state_dict(self) -> State:
-        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
-        coefficients, constant = self._fit or (None, None)
-        return {**super().state_dict(), "coefficients": coefficients, "constant": constant}
-
-    def load_state_dict(self, state: State) -> None:
-        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        names = ("coefficients", "constant")
-        fit = {name: state.get(name) for name in names}
-        super().load_state_dict({k: v for k, v in state.items() if k not in names})
-        self._fit = None
-        W, b = fit.values()
-        if W is not None and b is not None:
-            # u, v, r and eight inputs of each step
-            check_fields(fit, {names[0]: np.zeros((11 * self.order, 3)), names[1]: np.zeros(3)})
-            self._fit = W, b
+        self._fit: Array | None = None
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`. A refit takes a millisecond."""
@@ -161,8 +143,8 @@ class VARPredictor(ActuatedPredictor):
         columns = np.concatenate(parts, axis=1)
         return columns.T @ columns
 
-    def _solve(self, products: Array) -> tuple[Array, Array] | None:
-        """Return coefficients and constant, or None where there are too few sound rows."""
+    def _solve(self, products: Array) -> Array | None:
+        """Return coefficients, and in the last row constants; None with too few sound rows."""
         count = products[0, 0]
         if count < ROWS_MIN:
             return None
@@ -174,7 +156,7 @@ class VARPredictor(ActuatedPredictor):
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
         A = cov[:-3, :-3] * np.outer(scale, scale) + self.ridge * np.eye(len(scale))
         W = np.linalg.solve(A, cov[:-3, -3:] * scale[:, None]) * scale[:, None]
-        return W, change - centre @ W
+        return np.vstack([W, change - centre @ W])
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
@@ -182,7 +164,7 @@ class VARPredictor(ActuatedPredictor):
         start, K = rows[origins, STATES], plans.shape[1]
         if self._fit is None:
             return self.held(start, K)
-        W, b = self._fit
+        W, b = self._fit[:-1], self._fit[-1]
         m, p = self.stride, self.order
         plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % m, axis=1)], axis=1)

@@ -89,8 +89,6 @@ class FakeEkf:
         kind = item.get_type()
         if kind == "ODOMETRY":
             self._take_odometry(item)
-        elif kind == "GPS_INPUT":
-            self._take_gps_input(item)
         elif kind == "COMMAND_LONG":
             self._obey(item)
         elif kind == "PARAM_SET":
@@ -113,8 +111,6 @@ class FakeEkf:
                     round(1e7 * float(lat)), round(1e7 * float(lon)), 0
                 )
             )
-        elif item.command == 176:
-            self._enter(int(item.param2))
         self.say(dialect.MAVLink_command_ack_message(item.command, result))
 
     def _take_odometry(self, item: Any) -> None:
@@ -137,12 +133,6 @@ class FakeEkf:
         c, s = math.cos(yaw), math.sin(yaw)
         velocity = np.array([c * item.vx - s * item.vy, s * item.vx + c * item.vy])
         self._correct(np.array([item.x, item.y]) + ORIGIN, velocity, error, jumped)
-
-    def _take_gps_input(self, item: Any) -> None:
-        if item.fix_type < 3:
-            return
-        place = np.array(self.plane.metres(item.lat / 1e7, item.lon / 1e7))
-        self._correct(place, np.array([item.vn, item.ve]), item.horiz_accuracy, False)
 
     def _correct(self, place: np.ndarray, velocity: np.ndarray, sd: float, jumped: bool) -> None:
         """Correct the estimate, or refuse a place that is far from it."""

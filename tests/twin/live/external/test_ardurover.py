@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.twin.live.wire import load_example
-from twin.live.external.navigation import ExternalOptions
 
 flights = load_example("autopilot/flights.py")
 HOLD, Flight, lose = flights.HOLD, flights.Flight, flights.lose
@@ -29,9 +28,9 @@ ERROR, AFTER, OFF_TRACK = 12.0, 4.5, 7.5
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_ardurover_sails_on_by_the_twin(seed: int, tmp_path: Path) -> None:
-    flight = Flight(Path(PROGRAM), tmp_path, "usv75", seed=seed, options=ExternalOptions())
+    flight = Flight(Path(PROGRAM), tmp_path, "usv75", seed=seed, predictor="dsw-ukf-plus")
     try:
-        found = lose(flight, 60.0, ("usv75", "dsw-ukf-plus", "odometry", seed))
+        found = lose(flight, 60.0, ("usv75", "dsw-ukf-plus", seed))
     finally:
         flight.close()
     assert found.auto
@@ -44,7 +43,7 @@ def test_ardurover_sails_on_by_the_twin(seed: int, tmp_path: Path) -> None:
 def test_ardurover_holds_without_the_twin(tmp_path: Path) -> None:
     flight = Flight(Path(PROGRAM), tmp_path, "otter", seed=1)
     try:
-        found = lose(flight, 30.0, ("otter", "none", "off", 1))
+        found = lose(flight, 30.0, ("otter", "none", 1))
     finally:
         flight.close()
     assert not found.auto

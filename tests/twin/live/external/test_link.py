@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from tests.twin.live.wire import free_port
 from twin.digital_twin import Twin
 from twin.live.external.link import Link
-from twin.live.external.navigation import ExternalNavigation, ExternalOptions
+from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.receiver import ReceiverFeed
 from twin.live.protocols.mavlink import JumpCounter
@@ -93,16 +93,16 @@ class Pilot:
 class Both:
     """An autopilot and the twin at the other end of its wire, in steps of 0.05 s."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self) -> None:
         self.now, self.k = 0.0, 0
         port = free_port()
         self.events: list[str] = []
-        given = ExternalOptions(**{"moving_s": 5.0, "ready_sd": 50.0, "max_sd": 1e3, **options})
-        self.navigation = ExternalNavigation(given, lambda t, text: self.events.append(text))
+        self.navigation = ExternalNavigation(
+            lambda t, text: self.events.append(text), moving_s=5.0, ready_sd_m=50.0, max_sd_m=1e3
+        )
         self.feed = ReceiverFeed(
             f"udp://127.0.0.1:{port}", BOAT, self.navigation.peer, clock=lambda: self.now
         )
-        self.feed._arrived = lambda ancillary: self.now  # type: ignore[method-assign]
         self.link, self.twin = Link(self.feed, self.navigation), Twin(BOAT, "persistence")
         self.pilot = Pilot(port)
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []

@@ -10,11 +10,7 @@ import pytest
 
 from tests.twin.live.external.fake_ekf import AUTO, HOLD, HOME, FakeEkf, LoopPort
 from twin.digital_twin import Twin
-from twin.live.external.navigation import (
-    STATES,
-    ExternalNavigation,
-    ExternalOptions,
-)
+from twin.live.external.navigation import STATES, ExternalNavigation
 from twin.live.external.peer import AutopilotPeer
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.sim.bridge import particulars_of
@@ -58,12 +54,11 @@ def sail(
     backend = Backend(simulation, seed)
     events: list[tuple[float, str]] = []
     refuse = options.pop("refuse", False)
-    ekf = FakeEkf(backend, POINTS, seed, external=twin and options.get("kind") != "gps-input")
+    ekf = FakeEkf(backend, POINTS, seed, external=twin)
     ekf.refuse_source = refuse
     navigation = None
     if twin:
-        given = ExternalOptions(**options)
-        navigation = ExternalNavigation(given, lambda t, text: events.append((t, text)))
+        navigation = ExternalNavigation(lambda t, text: events.append((t, text)), **options)
     port = LoopPort(navigation.peer if navigation else AutopilotPeer(), ekf)
     run = AutopilotRun(
         backend,
@@ -133,7 +128,7 @@ def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
 
 
 def test_a_twin_that_no_longer_knows_gives_up() -> None:
-    one = sail(end=LOST + 45.0, max_sd=2.0)
+    one = sail(end=LOST + 45.0, max_sd_m=2.0)
     assert one.states() == ["ready", "lost", "aiding", "gave up"]
     assert one.ekf.source == 1
     assert one.ekf.modes[-1][1] == HOLD
@@ -144,10 +139,3 @@ def test_a_source_that_is_refused_is_asked_for_again_and_said() -> None:
     refused = [text for _, text in one.events if "refused source set 2" in text]
     assert 4 <= len(refused) <= 7
     assert one.run.navigation is not None and one.run.navigation.state == "lost"
-
-
-def test_gps_input_needs_no_switching() -> None:
-    one = sail(kind="gps-input", end=LOST + 40.0)
-    assert one.ekf.source == 1
-    assert [mode for _, mode in one.ekf.modes] == [AUTO]
-    assert one.error(LOST + 39.0) < 6.0

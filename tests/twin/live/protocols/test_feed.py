@@ -2,17 +2,16 @@ from __future__ import annotations
 
 import math
 import socket
-import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.live.wire import Wire, estimate_of, example, free_port
+from tests.twin.live.wire import Wire, example, free_port
 from twin.live.protocols.feed import BYTES_MAX, Message
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.sockets import FeedError, parse_address
 from twin.particulars import Particulars
 
@@ -142,12 +141,11 @@ def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
         assert 0 < feed.counts["received"] <= 1.1 * BYTES_MAX / 13
         for _ in range(200):
             feed.take()
-        datagrams = feed.counts["received"] / 80 + feed.counts["dropped"]
-        assert feed.counts["dropped"] == 0 or datagrams <= 4000
+        assert feed.counts["received"] <= 4000 * 80
 
 
 BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)
-NMEA = NmeaWriter("GP")
+NMEA = example.NmeaRows("GP")
 TIMES = st.floats(0.0, 86399.0)
 NUMBERS = st.sampled_from(["", "0", "-1", "nan", "inf", "1e308", "-1e-300", "361", "x", "12.5"])
 SENTENCES = st.builds(
@@ -159,7 +157,7 @@ SENTENCES = st.builds(
     ),
 )
 FIXES = st.builds(
-    lambda t, lat, lon: NMEA.gga(t, lat, lon, 4).encode(),
+    lambda t, lat, lon: NMEA.gga(t, (lat, lon), 4).encode(),
     TIMES,
     st.floats(-200.0, 200.0),
     st.floats(-400.0, 400.0),
@@ -215,63 +213,3 @@ def test_whatever_comes_is_survived(kind, wires) -> None:  # type: ignore[no-unt
             assert not np.isinf(z).any()
 
     survive()
-
-
-FIX = b"$GPRMC,000000,A,6000.00,N,01000.00,E,2.0,0.0,010124,,,A"
-
-
-def sentence(body: bytes) -> bytes:
-    checksum = 0
-    for byte in body[1:]:
-        checksum ^= byte
-    return body + b"*%02X\r\n" % checksum
-
-
-def test_answers_go_to_the_first_sender_and_the_second_is_named_once(usv: Particulars) -> None:
-    """A sender of broken lines is nobody; one that comes later gets no byte."""
-    port = free_port(socket.SOCK_DGRAM)
-    now = [0.0]
-    kinds = socket.AF_INET, socket.SOCK_DGRAM
-    with (
-        NmeaFeed(f"udp://:{port}", usv, clock=lambda: now[0]) as feed,
-        socket.socket(*kinds) as broken,
-        socket.socket(*kinds) as first,
-        socket.socket(*kinds) as second,
-        socket.socket(*kinds) as third,
-    ):
-        senders = {"broken": broken, "first": first, "second": second, "third": third}
-        for one in senders.values():
-            one.bind(("127.0.0.1", 0))
-            one.settimeout(0.2)
-        used = 0
-
-        def come(name: str, line: bytes, at: float) -> None:
-            now[0] = at
-            senders[name].sendto(line, ("127.0.0.1", port))
-            deadline, before = time.monotonic() + 5.0, feed.counts["received"]
-            while feed.counts["received"] == before and time.monotonic() < deadline:
-                feed.take()
-
-        def answered(name: str) -> bool:
-            try:
-                return bool(senders[name].recv(4096))
-            except TimeoutError:
-                return False
-
-        come("broken", b"$GPRMC,nonsense*00\r\n", 0.0)
-        for k in range(4):
-            line = sentence(FIX.replace(b"000000", b"%06d" % k))
-            come("second" if k == 2 else "third" if k == 3 else "first", line, float(k))
-            used += 1
-            estimate, prediction = estimate_of(float(k))
-            feed.send(estimate, prediction)
-        assert feed.counts["used"] == used
-        assert answered("first")
-        assert not any(answered(name) for name in ("broken", "second", "third"))
-        named = [note for note in feed.notes if "second sender" in note]
-        assert len(named) == 1 and f"port {second.getsockname()[1]}" in named[0]
-        assert f"answers go to 127.0.0.1 port {first.getsockname()[1]}" in named[0]
-        # the first has gone: the next one that speaks takes its place
-        come("third", sentence(FIX.replace(b"000000", b"000140")), 100.0)
-        feed.send(*estimate_of(100.0))
-        assert answered("third") and not answered("second")

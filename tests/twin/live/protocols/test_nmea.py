@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 import math
-import re
+import socket
 from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of, example, with_motion
+from tests.twin.live.wire import Wire, estimate_of, example
 from twin.channels import (
     AHRS_PITCH,
     AHRS_ROLL,
@@ -19,8 +19,8 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.integrity.monitor import SensorStatus
-from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.nmea import NmeaFeed, NmeaReply
+from twin.logs.datum import Plane
 from twin.particulars import Particulars
 
 pynmeagps = pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
@@ -52,7 +52,8 @@ def row(wire: Wire) -> np.ndarray:
 def test_gga_and_rmc_of_an_epoch_are_one_fix(wire: Wire) -> None:
     wire.tell(line(GGA), line(RMC))
     z = row(wire)
-    assert wire.feed.origin == pytest.approx((59.5, 10.5), abs=1e-12)
+    plane = wire.feed.plane
+    assert (plane.latitude, plane.longitude) == pytest.approx((59.5, 10.5), abs=1e-12)
     assert z[:2].tolist() == [0.0, 0.0]
     # ten knots to the east; u-blox says V for the navigational status, which is no lack of a fix
     assert z[2:4] == pytest.approx([0.0, 18520.0 / 3600.0]) and z[GPS_Z] == -2.0
@@ -121,7 +122,6 @@ def test_commands_are_read(
         ("WIMWD,,T,,M,,N,,M", "void"),
         ("WIMWD,-3.0,T,,M,1.0,N,1.0,M", "broken"),
         ("U9HDT,270.0,T", "own"),
-        ("PUTWP,120000.000,2.0", "own"),
     ],
 )
 def test_what_is_no_measurement_is_counted(wire: Wire, body: str, way: str) -> None:
@@ -165,53 +165,31 @@ def test_tag_blocks_tell_the_time(wire: Wire, unit: str) -> None:
     assert [t for t, _, _ in wire.rows] == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0])
 
 
-def test_estimates_go_back(wire: Wire) -> None:
-    writer = example.NmeaRows("GP")
-    z, cmd = np.full(17, np.nan), np.zeros(4)
-    z[:6] = 0.0
-    for t in (0.0, 20.0):  # over midnight, into the first of March
-        lines = writer.row(START + t, z, cmd, (-59.5, -179.9999))
-        wire.tell("".join(lines).encode(), after=t)
-    wire.take(after=1.0)
-    estimate, prediction = estimate_of(20.0)
-    (data,) = wire.feed.encode(estimate, prediction)
+def test_the_estimate_goes_out_as_sentences(usv: Particulars) -> None:
+    plane, estimate = Plane(-59.5, -179.9999), estimate_of(20.0)  # and the boat is west of 180
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        reply = NmeaReply(f"udp://127.0.0.1:{receiver.getsockname()[1]}")
+        reply.send(plane, 10.0, replace(estimate, ready=False))
+        reply.send(plane, 10.0, estimate)
+        data = receiver.recv(4096)
+        reply.close()
     lines = data.decode().splitlines(keepends=True)
-    assert all(len(text) <= 82 and text.endswith("\r\n") for text in lines)
-    gga, rmc, hdt, rot, *points = (pynmeagps.NMEAReader.parse(text) for text in lines)
-    assert gga.quality == 6 and rmc.status == "A" and rmc.posMode == "E"
-    assert f"{rmc.date} {rmc.time}" == "2024-03-01 00:00:10"
-    # 50 m west of 179.9999 W lies in the east
-    latitude, longitude = wire.feed.place_of(estimate.state)[:2]
+    assert all(len(text) <= 82 for text in lines)
+    gga, rmc, hdt, rot = (pynmeagps.NMEAReader.parse(text) for text in lines)
+    assert gga.talker == "U9" and (gga.quality, gga.payload[0]) == (6, "000010.00")
+    latitude, longitude = plane.degrees(100.0, -50.0)
     assert longitude > 179.0
     assert (gga.lat, gga.lon) == pytest.approx((latitude, longitude), abs=1e-8)
+    assert (rmc.status, rmc.posMode) == ("A", "E")
     assert rmc.spd == pytest.approx(math.hypot(5.0, 0.5) * 3600 / 1852, abs=1e-3)
     assert rmc.cog == pytest.approx(math.degrees(0.3 + math.atan2(0.5, 5.0)), abs=1e-3)
     assert hdt.headingT == pytest.approx(math.degrees(0.3), abs=1e-3)
     assert rot.rot == pytest.approx(60.0 * math.degrees(0.1), abs=1e-3)
-    assert [float(p.payload[1]) for p in points] == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
-    assert {p.msgID for p in points} == {"UTWP"}
-    assert points[-1].payload[7:] == ["11.00", "11.00", "0.50"]
-    # what is ours is no measurement
-    before = len(wire.rows)
+    wire = Wire(NmeaFeed, usv)  # what is ours is no measurement
     wire.tell(data)
-    assert wire.balance()["own"] == len(lines) and wire.take(after=1.0) == [] and before == 2
-
-
-def test_a_sensors_new_status_goes_out_once(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    wire.tell(line(GGA))
-    sent: list[bytes] = []
-    monkeypatch.setattr(wire.feed, "_send", sent.append)
-    monkeypatch.setattr(wire.feed, "_peer", ("127.0.0.1", 1))
-    fine = SensorStatus("ok", 0.0, "")
-    lost = SensorStatus("excluded", 3.0, "gps jumped")
-    for health in ({"gps": fine}, {"gps": lost}, {"gps": lost}, {"gps": fine}):
-        wire.feed.send(estimate_of(0.0)[0], None, health)
-    news = [data.decode() for data in sent if b"PUTWH" in data]
-    assert [text.split(",")[2:] for text in (n.split("*")[0] for n in news)] == [
-        ["gps", "excluded"],
-        ["gps", "ok"],
-    ]
-    assert all(len(text) <= 82 and pynmeagps.NMEAReader.parse(text) for text in news)
+    assert wire.balance() == {"received": 4, "own": 4}
 
 
 @pytest.mark.parametrize(
@@ -260,36 +238,6 @@ def test_height_roll_pitch_and_rates_go_out_as_they_come_in(wire: Wire) -> None:
     back = wire.take(after=1.0)[0][1]
     assert back[at[2:]] == pytest.approx(z[at[2:]], abs=2e-6)
     assert np.isnan(np.delete(back, at)).all()
-
-
-def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
-    writer = example.NmeaRows("GP")
-    z, cmd = np.full(17, np.nan), np.zeros(4)
-    z[:6], z[AHRS_ROLL], z[AHRS_PITCH] = 0.0, 0.1, -0.05
-    wire.tell("".join(writer.row(START, z, cmd, (59.5, 10.5))).encode())
-    seen = wire.take(after=1.0)[0][1]
-    # in the fourth decimal of a degree
-    assert seen[[AHRS_ROLL, AHRS_PITCH]] == pytest.approx([0.1, -0.05], abs=1e-6)
-    estimate, prediction = with_motion(*estimate_of(20.0))
-    (data,) = wire.feed.encode(estimate, prediction)
-    lines = data.decode().splitlines(keepends=True)
-    assert all(len(text) <= 82 and text.endswith("\r\n") for text in lines)
-    (tilt,) = [text.split(",") for text in lines if text.startswith("$PASHR")]
-    assert [float(value) for value in tilt[4:7]] == pytest.approx(
-        [math.degrees(0.1), math.degrees(-0.05), -0.2], abs=0.01
-    )
-    ahead = [text.partition("*")[0].split(",") for text in lines if text.startswith("$PUTWM")]
-    assert [float(text[2]) for text in ahead] == [0.0, 0.5, 1.0, 2.0, 3.0, 5.0]
-    assert [float(value) for value in ahead[0][3:7]] == pytest.approx(
-        [math.degrees(0.1), math.degrees(-0.05), 0.2, 0.3], abs=0.01
-    )
-    (quiet,) = [text.partition("*")[0].split(",")[2:] for text in lines if "PUTWQ" in text]
-    assert quiet == ["0.90", "0.80", "0.60"]
-    learning = replace(prediction, motion=replace(prediction.motion, ready=False))
-    text = b"".join(wire.feed.encode(estimate, learning)).decode()
-    assert re.search(r"\$PUTWQ,[0-9.]+,,,\*", text)
-    wire.tell(data)
-    assert wire.balance()["own"] == len(lines)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import runpy
-import socket
 import threading
 import time
 from collections import Counter
@@ -143,7 +142,6 @@ def test_over_the_wire_and_back_is_the_same_log(
     log, boat = simulated
     address = f"udp://:{free_port()}"
     stream = KINDS[kind][1](boat)
-    twin = Twin(boat, "persistence")
     with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
         counted: Counter[str] = Counter()
 
@@ -154,30 +152,14 @@ def test_over_the_wire_and_back_is_the_same_log(
         sender.start()
         rows, until = [], time.monotonic() + 60.0
         while len(rows) < len(log) and time.monotonic() < until:
-            for row in feed.take():
-                rows.append(row)
-                twin.step(*row)
-            if rows:
-                feed.send(twin.estimate(), twin.predict() if twin.estimate().ready else None)
+            rows += feed.take()
             time.sleep(0.02)
         sender.join()
-        feed.send(twin.estimate(), None)  # to whom is gone
         assert len(rows) == len(log)
         assert [t for t, _, _ in rows] == pytest.approx((log.t - log.t[0]).tolist(), abs=1.1e-3)
-        assert counted["back"] > 10
         # a stalled sender finds the row of a message gone
         taken = feed.counts["used"] + feed.counts["unknown"] + feed.counts["late"]
         assert taken == counted["messages"]
-
-
-def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
-        reply = f"udp://:{receiver.getsockname()[1]}"
-        with MavlinkFeed(f"udp://:{free_port()}", usv, reply) as feed:
-            feed.take()
-            assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
 
 def test_the_example_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]

@@ -102,15 +102,3 @@ def test_two_logs_of_one_second_have_names_of_their_own(tmp_path):
     assert len({one.path for one in made}) == 3
     assert [one.close() for one in made] == [None] * 3
     assert list(tmp_path.iterdir()) == []  # there was nothing to write
-
-
-def test_a_folder_that_cannot_be_written_to_holds_no_part_of_a_log(tmp_path, monkeypatch):
-    def fail(file: int, data: bytes) -> int:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.write", fail)
-    with pytest.raises(OSError, match="No space left") as caught:
-        Recorder(tmp_path, particulars_of(VESSEL), with_truth=False)
-    monkeypatch.undo()
-    assert Path(caught.value.filename).parent == tmp_path
-    assert list(tmp_path.iterdir()) == []

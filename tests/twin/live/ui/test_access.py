@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import http.client
-import logging
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -29,9 +28,9 @@ UPGRADE = {
 @pytest.fixture
 def viewer(served: Callable[..., Viewer], tmp_path: Path) -> Callable[..., Viewer]:
     """Return a function that serves a boat to those whom an access allows."""
-    return lambda *access: served(
+    return lambda token=None: served(
         SimulatedSession(setup(predictor="persistence"), tmp_path),
-        access=Access.of("127.0.0.1", *access),
+        access=Access.of("127.0.0.1", token),
     )
 
 
@@ -55,50 +54,30 @@ def statuses(viewer: Viewer, path: str = "/", **headers: str) -> tuple[int, int]
     return ask(viewer, path, **headers).status, ask(viewer, path, **headers, **UPGRADE).status
 
 
-def test_only_names_of_the_server_and_its_own_pages_are_answered(viewer):
+def test_only_names_of_loopback_and_its_own_pages_are_answered(viewer):
     view = viewer()
     port = view.port
     for name in ("127.0.0.1", "localhost", "LOCALHOST", "[::1]"):
-        assert statuses(view, host=f"{name}:{port}") == (200, 101)
-        assert statuses(view, Origin=f"http://{name}:{port}") == (200, 101)
+        for at in (port, 9000):  # that of a tunnel
+            assert statuses(view, host=f"{name}:{at}") == (200, 101)
+            assert statuses(view, host=f"{name}:{at}", Origin=f"http://{name}:{at}") == (200, 101)
     for host in (
-        *("evil.test", f"evil.test:{port}", f"localhost:{port + 1}", "localhost", "127.0.0.1"),
-        *("", f"localhost.evil.test:{port}", f"x@localhost:{port}", f"127.0.0.1:{port}.evil"),
+        *("evil.test", f"evil.test:{port}", "192.0.2.1"),
+        *("", f"localhost.evil.test:{port}", f"localhost:{port}@evil.test"),
     ):
-        assert statuses(view, host=host) == (403, 403), host
+        assert all(status in (400, 403) for status in statuses(view, host=host)), host
+    assert statuses(view, host="evil.test", Origin="http://evil.test") == (403, 403)
     for origin in (
         *("http://evil.test", f"http://evil.test:{port}", f"http://localhost:{port + 1}", "null"),
-        *(f"https://localhost:{port}", "http://localhost", f"http://localhost:{port}.evil.test"),
-        *("", "file://", f"http://localhost:{port}@evil.test"),
+        *("http://localhost", f"http://localhost:{port}.evil.test"),
+        *("", "file://", f"http://127.0.0.1:{port}@evil.test"),
     ):
         assert statuses(view, Origin=origin) == (403, 403), origin
-    # a page of another site that asks for an image or a script states no origin
-    for site in ("cross-site", "same-site"):
-        assert ask(view, Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors").status == 403
-        assert ask(view, Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate").status == 200
     assert view.session.error is None
 
 
-def test_an_allowed_origin_is_a_name_and_may_connect(viewer):
-    view = viewer(["https://Boat.example:443/", "http://other.test:9000"])
-    for origin in ("https://boat.example", "http://other.test:9000"):
-        assert statuses(view, Origin=origin) == (200, 101)
-        assert statuses(view, host=origin.partition("//")[2]) == (200, 101)
-    assert statuses(view, Origin="http://boat.example") == (403, 403)
-    assert "http://other.test:9000" in ask(view).headers["Content-Security-Policy"]
-
-
-@pytest.mark.parametrize(
-    "origin",
-    ["*", "boat.example", "ftp://x", "http://", "http://x:99999", "http://x/y", "http://[x"],
-)
-def test_an_origin_that_is_none_is_refused_with_an_example(origin):
-    with pytest.raises(AccessError, match=r"write scheme, name and port, as http://"):
-        Access.of("127.0.0.1", [origin])
-
-
 def test_a_token_is_asked_for_once_and_kept_in_a_cookie(viewer):
-    view = viewer((), "secret-token")
+    view = viewer("secret-token")
     assert view.url.endswith("/?token=secret-token")
     for path in ("/", "/?token=", "/?token=secret-toke", "/?token=secret-token2", "/?token=%ff"):
         assert statuses(view, path) == (403, 403), path
@@ -106,42 +85,31 @@ def test_a_token_is_asked_for_once_and_kept_in_a_cookie(viewer):
     given = ask(view, "/?token=secret-token").headers["Set-Cookie"]
     assert "HttpOnly" in given and "SameSite=Strict" in given
     cookie = given.partition(";")[0]
-    assert cookie == f"usv-twin-{view.port}=secret-token"
+    assert cookie == f"usv-twin-127-0-0-1-{view.port}=secret-token"
     assert statuses(view, Cookie=f"a=b; {cookie}") == (200, 101)
     for wrong in ("usv-twin-1=secret-token", f"{cookie}x", "secret-token", ";=;", "\xff=\xff"):
         assert statuses(view, Cookie=wrong) == (403, 403), wrong
-    # it opens no door for other pages
+    # it opens no door for other pages, and one for other names of the server
+    assert statuses(view, "/?token=secret-token", host="boat.local") == (200, 101)
     assert statuses(view, Cookie=cookie, Origin="http://evil.test") == (403, 403)
 
 
 def test_a_host_that_others_reach_has_a_token():
     made = [Access.of(host).token for host in ("0.0.0.0", "::", "192.0.2.1", "nosuch.invalid")]
     assert len(set(made)) == 4 and all(len(token) >= 32 for token in made)
-    assert Access.of("0.0.0.0", (), "my-own-token").token == "my-own-token"
+    assert Access.of("0.0.0.0", "my-own-token").token == "my-own-token"
     for host in ("127.0.0.1", "localhost", "127.5.5.5"):
         assert is_loopback(host) and Access.of(host).token is None
     for wrong in ("", "short", "a b c d e f g", "x" * 129, "hi\nthere-you", "ä" * 10):
         with pytest.raises(AccessError, match="8 to 128 letters"):
-            Access.of("127.0.0.1", (), wrong)
+            Access.of("127.0.0.1", wrong)
 
 
-def test_a_server_for_all_goes_by_the_address_at_which_it_was_found(served, tmp_path):
-    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    view = served(session, host="0.0.0.0")
-    path = f"/?token={view.access.token}"
-    assert statuses(view, path) == (200, 101)
-    assert statuses(view, "/") == (403, 403)
-    assert statuses(view, path, host=f"evil.test:{view.port}") == (403, 403)
-    assert statuses(view, path, host=f"192.0.2.1:{view.port}") == (403, 403)
-
-
-def test_a_page_is_not_sent_elsewhere_by_its_address(viewer):
+def test_a_page_is_not_sent_elsewhere_by_its_address_nor_framed(viewer):
     view = viewer()
     for query in ("websocket=ws://evil.test", "playbackPath=http://evil.test/x", "x", "token=&x=1"):
-        assert statuses(view, f"/?{query}") == (400, 400), query
-    policy = ask(view).headers["Content-Security-Policy"]
-    assert f"connect-src 'self' ws://127.0.0.1:{view.port} " in policy
-    assert "frame-ancestors 'self'" in policy and "default-src 'self' data: blob:;" in policy
+        assert statuses(view, f"/?{query}") == (403, 403), query
+    assert ask(view).headers["Content-Security-Policy"] == "frame-ancestors 'none'"
 
 
 def test_requests_that_are_none_are_answered_without_a_word(viewer, capfd, caplog):
@@ -193,7 +161,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch, tmp_path):
 
     monkeypatch.setattr(server.viser, "ViserServer", Other)
     with pytest.raises(AccessError, match="without our checks"):
-        server.start_server(Access(), 18000, logging.info)
+        server.start_server(Access(), 18000)
 
 
 @pytest.mark.parametrize("host", ["", "nosuch.invalid", "203.0.113.9", "\0", "a" * 300])

@@ -37,7 +37,7 @@ def test_sensors_that_agree_share_a_line_and_others_say_why():
 
 def snapshot(**others: object) -> Snapshot:
     given = {
-        **{"t": 1.0, "boat": np.zeros(16), "overlay": None, "prediction": None, "gps_age": 0.1},
+        **{"t": 1.0, "boat": np.zeros(16), "overlay": None, "motion": None, "gps_age": 0.1},
         **{"fixes": np.empty((0, 2)), "track": np.empty((0, 2)), "gps_lost": False},
         **{"imu_lost": False, "has_imu": True},
     }
@@ -67,7 +67,8 @@ def test_a_moment_of_a_log_shows_the_health_and_the_current_of_then(tmp_path):
         VESSEL,
         tmp_path,
     )
-    session._go_through()
+    while session.done < log.t[-1]:
+        session._advance()
     seen = {}
     for t in (5.0, 19.5, 5.0):
         session.at = t

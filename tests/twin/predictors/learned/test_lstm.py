@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.twin.predictors.learned.spoiled import spoiled
 from twin.channels import MEASUREMENTS
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, Persistence, hold_velocity
@@ -179,37 +180,6 @@ def test_trains_once_at_its_time_and_forgets() -> None:
     assert not predictor.trained and predictor._net is None
 
 
-def bad(kind: str) -> np.ndarray:
-    """Return a history with something wrong."""
-    rows = history(241)
-    rng = np.random.default_rng(5)
-    if kind == "constant":
-        rows[:] = rows[50]
-    elif kind == "at rest":
-        rows[:] = 0.0
-    elif kind == "few rows":
-        rows = rows[:20]
-    elif kind == "one row":
-        rows = rows[:1]
-    elif kind == "all NaN":
-        rows[:] = np.nan
-    elif kind == "some NaN":
-        rows[rng.random(rows.shape) < 0.003] = np.nan
-    elif kind == "NaN block":
-        rows[60:120] = np.nan
-    elif kind == "NaN at the end":
-        rows[230:, 3:] = np.nan
-    elif kind == "wild":
-        rows[rng.integers(0, 241, 3), 3:6] = 1e200
-        rows[rng.integers(0, 241, 3), 6] = 1e200
-        rows[100] = np.inf
-    elif kind == "constant commands":
-        rows[:, 6:] = rows[5, 6:]
-    elif kind == "noise":
-        rows[:, 3:6] += rng.normal(scale=3.0, size=(241, 3))
-    return rows
-
-
 LEARNS = {"some NaN", "NaN block", "NaN at the end", "wild", "constant commands"}
 HOLDS = {"constant", "at rest", "few rows", "one row", "all NaN"}
 
@@ -218,7 +188,7 @@ HOLDS = {"constant", "at rest", "few rows", "one row", "all NaN"}
 def test_forecasts_are_always_finite_and_within_the_envelope(kind: str) -> None:
     """Whatever the past, forecasts are finite and bounded; too little of it: persistence."""
     pytest.importorskip("torch")
-    rows = bad(kind)
+    rows = spoiled(history(241), kind, 6)
     predictor = LSTMPredictor(BOAT)
     predictor.epochs = 8
     predictor._net = predictor._train(rows)

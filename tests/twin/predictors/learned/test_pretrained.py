@@ -77,20 +77,6 @@ def test_tokens_are_dimensionless(zigzag, boat) -> None:
     np.testing.assert_allclose(x[..., clock] - y[..., clock], np.log(2.0), rtol=1e-5)
 
 
-def test_gate_fades_inputs_of_lost_sensors() -> None:
-    """u and v fade with the mask of GPS, r with that of the IMU; nothing else does."""
-    x = np.full((1, PAST + AHEAD, TOKEN), 2.0, dtype=np.float32)
-    rows = x[:, :, : PATCH * pretrained.PER_ROW].reshape(1, PAST + AHEAD, PATCH, -1).copy()
-    rows[..., 5:8] = 0.75, 1.0, 0.25
-    x[:, :, : PATCH * pretrained.PER_ROW] = rows.reshape(1, PAST + AHEAD, -1)
-    for gate, shown in ((0.0, [2.0, 2.0, 2.0]), (1.0, [1.5, 1.5, 0.5]), (0.5, [1.75, 1.75, 1.25])):
-        y = pretrained.gated(x, gate)
-        np.testing.assert_array_equal(y[:, PAST:], x[:, PAST:])
-        past = y[:, :PAST, : PATCH * pretrained.PER_ROW].reshape(1, PAST, PATCH, -1)
-        np.testing.assert_array_equal(past[..., :3], np.broadcast_to(shown, past[..., :3].shape))
-        np.testing.assert_array_equal(past[..., 3:], rows[:, :PAST, :, 3:])
-
-
 @pytest.mark.parametrize("net", ["lstm", "transformer"])
 def test_numpy_answers_as_torch(example, net: str, zigzag, boat) -> None:
     """The shipped weights in the net that was trained say the same, to single precision."""

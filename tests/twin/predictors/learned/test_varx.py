@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.twin.predictors.learned.spoiled import spoiled
 from twin.channels import MEASUREMENTS
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, Persistence, hold_velocity
@@ -151,33 +152,6 @@ def test_refits_in_time_and_forgets() -> None:
     assert predictor._fit is None and predictor._due == predictor.first
 
 
-def bad(kind: str) -> np.ndarray:
-    """Return a history with something wrong."""
-    rows = history(241)
-    rng = np.random.default_rng(5)
-    if kind == "constant":
-        rows[:] = rows[50]
-    elif kind == "at rest":
-        rows[:] = 0.0
-    elif kind == "few rows":
-        rows = rows[:20]
-    elif kind == "one row":
-        rows = rows[:1]
-    elif kind == "all NaN":
-        rows[:] = np.nan
-    elif kind == "some NaN":
-        rows[rng.random(rows.shape) < 0.003] = np.nan
-    elif kind == "wild":
-        rows[rng.integers(0, 241, 3), 3:6] = 1e200
-        rows[rng.integers(0, 241, 3), 10] = 1e200
-        rows[100] = np.inf
-    elif kind == "growing":
-        rows[:, 3:6] *= np.exp(0.01 * np.arange(241))[:, None]
-    elif kind == "noise":
-        rows[:, 3:6] += rng.normal(scale=(3.0, 3.0, 0.5), size=(241, 3))
-    return rows
-
-
 HOLDS = ("few rows", "one row", "all NaN")
 
 
@@ -186,7 +160,7 @@ HOLDS = ("few rows", "one row", "all NaN")
 )
 def test_forecasts_are_always_finite_and_within_the_envelope(kind: str) -> None:
     """Whatever the past, forecasts are finite and bounded."""
-    rows = bad(kind)
+    rows = spoiled(history(241), kind, 10)
     predictor = learned(rows)
     assert (predictor._fit is None) == (kind in HOLDS)
     origins = np.unique(np.linspace(0, len(rows) - 1, 30).astype(int))

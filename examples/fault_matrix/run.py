@@ -6,41 +6,27 @@ how well it knows the boat meanwhile and afterwards. The same run without the fa
 
 from __future__ import annotations
 
+import argparse
 import copy
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import os
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin import Log, Twin, known_plan
 from twin.benchmark.loading import with_faults
-from twin.benchmark.sources import predictor_digest
-from twin.digital_twin import Twin, known_plan
-from twin.files import keep, kept
 from twin.integrity.state import SENSORS
-from twin.logs.log import Log
+from twin.parallel import results_of
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail
-from usv_gym.vessel.vessel import Vessel
+from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import THRUSTERS, Fault, parse_faults
-from usv_gym.world.sea import SeaState
-from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
-from usv_kernel.cache import running_program
-
-__all__ = [
-    "FAULTS",
-    "FaultRun",
-    "MatrixFault",
-    "Unit",
-    "fault_runs",
-    "matrix_units",
-    "sailed",
-    "tables",
-]
 
 Array = NDArray[np.float64]
 
@@ -142,7 +128,7 @@ FAULTS = {
 
 
 class Unit(NamedTuple):
-    """The runs of a boat that differ by their faults."""
+    """Runs of a boat that differ by their faults."""
 
     predictor: str
     vessel: str
@@ -332,38 +318,6 @@ def matrix_units(predictors: Sequence[str], seeds: Sequence[int]) -> list[Unit]:
     ]
 
 
-def fault_runs(
-    units: Sequence[Unit], file: Path, *, jobs: int = 1
-) -> Iterator[tuple[int, list[FaultRun]]]:
-    """Sail units; yield how many are done, and the results so far, after each.
-
-    Finished ones are kept in ``file`` (JSON). The same program does not sail them again.
-    """
-    names = sorted({unit.predictor for unit in units})
-    foreign = {name: text for name in names if (text := predictor_digest(name))}
-    key = [running_program(), sorted(FAULTS), *([foreign] if foreign else [])]
-    results = [FaultRun(*item)._replace(left_out=tuple(item[8])) for item in kept(file, key) or ()]
-    done = {Unit(*run[:5]) for run in results}
-    left = [unit for unit in units if unit not in done]
-    count = len(units) - len(left)
-    wanted = set(units)
-
-    def asked() -> list[FaultRun]:
-        return [run for run in results if Unit(*run[:5]) in wanted]
-
-    yield count, asked()
-    with ProcessPoolExecutor(jobs) as pool:
-        tasks = [pool.submit(_runs, unit) for unit in left]
-        try:
-            for task in as_completed(tasks):
-                results += task.result()
-                count += 1
-                keep(file, key, [list(run) for run in results])
-                yield count, asked()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
 def _percent(share: float) -> str:
     """Return a share as per cent; a dash where there is none."""
     return "-" if math.isnan(share) else f"{100.0 * share:.0f} %"
@@ -468,3 +422,25 @@ def _details(runs: Sequence[FaultRun]) -> list[str]:
         )
         lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--predictors", nargs="+", default=["ukf"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[100, 101])
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=Path("fault_matrix.md"))
+    asked = parser.parse_args()
+    units = matrix_units(asked.predictors, asked.seeds)
+    found: dict[int, list[FaultRun]] = {}
+    for k, results in results_of([partial(_runs, unit) for unit in units], jobs=asked.jobs):
+        found[k] = results
+        print(f"{len(found)} of {len(units)} boats", flush=True)
+    # by seed and boat, whichever process was first
+    text = "\n".join(tables([run for k in sorted(found) for run in found[k]]))
+    asked.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
