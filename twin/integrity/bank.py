@@ -105,11 +105,11 @@ INNOVATION_MAX = 6.0
 SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
 
-IMU_SILENT_S = 1.0
-"""Gyro or accelerometers without samples for so long drive no filter."""
+LEARN_S = 60.0
+"""Time constant with which levels, and the motion of the boat, are learned ..."""
 
-MOTION_TIME_S = 60.0
-"""Time constant with which it is learned how fast accelerations and yaw rates change."""
+LEARN_FIRST_S = 10.0
+"""... and that of levels at the start."""
 
 ROW_SHARE = 0.05
 """Share of a new interval between rows in the typical one."""
@@ -128,12 +128,6 @@ LEVEL_MAX = 4.0
 
 LEVEL_START = 4.0
 """Level at the start: how good the sensors are is not known yet."""
-
-LEVEL_TIME_S = 120.0
-"""Time constant with which levels are learned ..."""
-
-LEVEL_FIRST_S = 10.0
-"""... and that at the start."""
 
 TIMING_S = 0.1
 """Standard deviation of a sensor's undeclared delay."""
@@ -456,7 +450,7 @@ def _samples(one, aid, window, bank):
 def _learn_level(one, aid, span, bank):
     """Learn how much more the means vary than those of white innovations would."""
     numbers, level = float(_numbers(aid)), bank.level
-    share = min(span / min(max(bank.clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
+    share = min(span / min(max(bank.clock, LEARN_FIRST_S), LEARN_S), 0.1)
     first = level[aid, 0]
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
@@ -623,8 +617,8 @@ def _cover_gap(one, row, bank, given):
 def _advance_filter(k, bank, given, sound):
     """Predict filter k over the epoch, test it, and correct it."""
     one, T, row = bank.filters[k], bank.span, bank.row
-    gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
-    driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < IMU_SILENT_S
+    gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < SILENT_S
+    driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < SILENT_S
     convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
     steps, north, east = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX), 0.0, 0.0
     for _ in range(steps):
@@ -657,7 +651,7 @@ def _advance_filter(k, bank, given, sound):
 @inlined
 def _learn_motion(bank):
     """Learn how large accelerations are, and how fast they and the yaw rate change."""
-    T, share = bank.span, min(bank.span / MOTION_TIME_S, 0.1)
+    T, share = bank.span, min(bank.span / LEARN_S, 0.1)
     has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
     forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
     sound = bank.filters[0]

@@ -28,6 +28,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.integrity.bank import LEARN_S
 from twin.particulars import Particulars
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
@@ -142,9 +143,6 @@ FOLLOW_S = 20.0
 """Time constant with which the motion by the commands alone follows the true one, while that is
 known: so it is learned how wrong it becomes."""
 
-
-FORCE_TIME_S = 60.0
-"""Time constant with which offsets and variances of what the commands say are learned."""
 
 
 
@@ -428,7 +426,7 @@ def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
     drives.yaw_witness += _log_likelihood(by_compass, S) - _log_likelihood(by_gyro, S)
     if has_gps:
         error = gyro - drives.yaw
-        drives.yaw_var += span / FORCE_TIME_S * (error * error - drives.yaw_var)
+        drives.yaw_var += span / LEARN_S * (error * error - drives.yaw_var)
         drives.yaw += span / FOLLOW_S * error
 
 
@@ -440,7 +438,7 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
     """
     row = alloca_f64(TERMS)
     _write_row(row, SURGE, h, drives.begin[YAW], surge, sway, drives, given)
-    share = span / FORCE_TIME_S
+    share = span / LEARN_S
     drives.push[0], drives.push[1] = _change(drives, SURGE, row), surge * turned
     for axis in range(2):
         excess = changes[1 + axis] - drives.push[axis]
