@@ -94,14 +94,8 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
-RETURNED = 5.0
-"""The same for sound commands, which are likelier from the start."""
-
 DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
-
-FADE = 0.99
-"""Share of the evidence that a step leaves."""
 
 SUSPECT = 1.0
 """Above this evidence nothing is learned: what is wrong would become the model."""
@@ -390,15 +384,13 @@ def _weigh(drives, changes, turned, sway, axes, has_gps, now, given):
                 if h == UNKNOWN and not has_gps:
                     more = by_yaw[h] - by_yaw[force]
                 more = min(more, DECIDED) - DRIFT
-                drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
+                drives.evidence[h] = max(drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
             if drives.evidence[h] > drives.evidence[strongest]:
                 strongest = h
         if drives.evidence[strongest] > DECIDED:
             _put_in_force(drives, strongest, now)
-        elif drives.evidence[SOUND] > RETURNED:
-            _put_in_force(drives, SOUND, now)
         elif force != SOUND and now - drives.since > AGAIN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
