@@ -85,9 +85,6 @@ longer ones drag answers."""
 STEP_MIN_S = 0.9
 """A step is no shorter."""
 
-STEP_LONG = 1.7
-"""A step of more than so many lengths is a gap: its mean drive says little of it."""
-
 WARM_UP_STEPS = 35.0
 """Nothing is concluded before."""
 
@@ -115,8 +112,8 @@ FORGETTING_STEPS = 200.0
 RESIDUAL_STEPS = 80.0
 """Steps over which residuals are averaged."""
 
-RESIDUAL_SD_MIN, RESIDUAL_SD_MAX = 0.009, 0.3
-"""Bounds of the standard deviation of the residuals, nominal units."""
+RESIDUAL_SD_MIN = 0.009
+"""Least standard deviation of the residuals, nominal units."""
 
 RESIDUAL_MAX = 3.0
 """A residual counts up to so many standard deviations in what is learned."""
@@ -132,13 +129,6 @@ KNOWN_S = 2.0
 
 AGAIN_S = 60.0
 """What has lasted for so long is a boat that has changed: it is learned anew."""
-
-FOLLOW_S = 20.0
-"""Time constant with which the motion by the commands alone follows the true one, while that is
-known: so it is learned how wrong it becomes."""
-
-
-
 
 DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
 """Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
@@ -315,7 +305,7 @@ def _learn(drives, axis, h, change, sway, given):
     share = 1.0 / min(max(drives.steps, 4.0), RESIDUAL_STEPS)
     excess = min(error * error, RESIDUAL_MAX**2 * S) - S
     variance = drives.variance[axis] + share * excess
-    drives.variance[axis] = min(max(variance, RESIDUAL_SD_MIN**2), RESIDUAL_SD_MAX**2)
+    drives.variance[axis] = max(variance, RESIDUAL_SD_MIN**2)
     w = min(max(error / math.sqrt(S), -RESIDUAL_MAX), RESIDUAL_MAX)
     drives.product[axis] += share * (w * drives.residual[axis] - drives.product[axis])
     drives.residual[axis] = w
@@ -419,7 +409,7 @@ def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
     if has_gps:
         error = gyro - drives.yaw
         drives.yaw_var += span / LEARN_S * (error * error - drives.yaw_var)
-        drives.yaw += span / FOLLOW_S * error
+        drives.yaw += span / LEARN_S * error
 
 
 @kernel
@@ -455,7 +445,7 @@ def _follow(drives, yaw, surge, sway, span, trained, given):
         row = alloca_f64(TERMS)
         _write_row(row, SURGE, h, drives.begin[YAW], drives.surges[h], sway, drives, given)
         own = drives.surges[h] + _change(drives, SURGE, row)
-        own = _limited(own + span / FOLLOW_S * (surge - own))
+        own = _limited(own + span / LEARN_S * (surge - own))
     for k in range(HYPOTHESES):
         drives.surges[k] = own
 
@@ -556,8 +546,7 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)
     elif drives.span >= length - 1e-6:
-        short = drives.span < STEP_LONG * length
-        if short and _end_step(drives, motion, doubted, has_gps, now, given):
+        if _end_step(drives, motion, doubted, has_gps, now, given):
             for i in range(4):
                 drives.trusted[i] = drives.before[i]
                 drives.before[i] = cmd[i]
