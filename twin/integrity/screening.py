@@ -19,7 +19,7 @@ PARTS = np.array([[0, 2], [2, 4], [4, 5], [5, 6], [6, 8]])
 
 FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 
-REPEATS = np.array([3.0, 3.0, 6.0, 12.0, 12.0])
+REPEATS = 6.0
 """After so many typical times between new samples one that repeats itself is frozen."""
 
 MASKED_S, MASKED_SAMPLES = 0.5, 2.5
@@ -109,7 +109,7 @@ def find_frozen(dt, memory, given):
             same = same and z[j] == memory.last[j]
         typical = max(memory.renewal[part], bank.row)
         if same:
-            long = memory.unchanged[part] > (REPEATS[part] - 0.5) * typical
+            long = memory.unchanged[part] > (REPEATS - 0.5) * typical
             memory.frozen[part] = 1.0 if long and _shows_motion(part, memory, given) else 0.0
             if part <= COMPASS and memory.unused[part] < max(REPEAT_USED_S, 2.0 * typical):
                 for j in range(first, end):
