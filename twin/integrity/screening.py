@@ -1,4 +1,4 @@
-"""What a sensor cannot give: impossible numbers, leaps of accelerations, and exact repetition.
+"""What a sensor cannot give: impossible numbers, and exact repetition.
 
 These are no questions of probability: no boat gives the first, and noise never repeats to the bit.
 """
@@ -25,9 +25,6 @@ REPEATS = 6.0
 MASKED_S, MASKED_SAMPLES = 0.5, 2.5
 """After an impossible number the sensor is left out for so long, or for so many samples."""
 
-LEAPS_MAX = 3.0
-"""Accelerations that leap in so many rows in a row are those of the boat after all."""
-
 MOVES = 0.1
 """A boat moves above this share of its nominal speed."""
 
@@ -42,7 +39,7 @@ RENEWAL_MAX_S = 5.0
 
 @inlined
 def screen(dt, z, memory, given):
-    """Leave out impossible numbers, and accelerations that leap for a row or two.
+    """Leave out impossible numbers.
 
     Impossible numbers of two sensors make a row garbage as a whole.
     """
@@ -62,13 +59,6 @@ def screen(dt, z, memory, given):
     for part in range(PARTS.shape[0]):
         for j in range(PARTS[part, 0], PARTS[part, 1]):
             out[j] = math.nan if memory.masked[part] > 0.0 or bad > 1 else z[j]
-    leap = False
-    for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
-        leap = leap or abs(out[j] - memory.last[j]) > given.leap
-    memory.leaps = memory.leaps + 1.0 if leap else 0.0
-    if leap and memory.leaps < LEAPS_MAX:
-        for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
-            out[j] = math.nan
 
 
 @inlined
