@@ -7,12 +7,12 @@ of ArduPilot's ``ardurover``, beside which lies its ``rover.parm``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -334,10 +334,10 @@ class Flight:
         self.station.socket.close()
 
 
-def main(vessel: str, predictor: str, kind: str, seeds: list[int]) -> None:
+def main(vessel: str, predictor: str, kind: str, *seeds: str) -> None:
     """Print a line of JSON for each seed."""
     program = Path(os.environ["USV_TWIN_ARDUROVER"])
-    for seed in seeds:
+    for seed in map(int, seeds):
         options = None if kind == "off" else ExternalOptions(kind=kind)
         with tempfile.TemporaryDirectory() as folder:
             flight = Flight(
@@ -351,12 +351,4 @@ def main(vessel: str, predictor: str, kind: str, seeds: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("vessel")
-    parser.add_argument("predictor")
-    parser.add_argument("kind", help="what the autopilot is sent, such as odometry, or off")
-    parser.add_argument("seeds", nargs="+", type=int)
-    given = parser.parse_args()
-    if "USV_TWIN_ARDUROVER" not in os.environ:
-        parser.error("USV_TWIN_ARDUROVER is not set: it is the path of ArduPilot's ardurover")
-    main(**vars(given))
+    main(*sys.argv[1:])
