@@ -202,7 +202,7 @@ def axes_of(rows, columns, width, height):
 
 def draw_turns(path):
     """Turning circles of KVLCC2 with the measured advance, transfer and diameter."""
-    figure, ((one,),) = axes_of(1, 1, 7.0, 2.8)
+    figure, ((one,),) = axes_of(1, 1, 7.0, 3.2)
     for side, sign, colour in (("starboard", 1.0, "#0072B2"), ("port", -1.0, "#E69F00")):
         k = 0 if sign > 0 else 1
         track = trials.turning_circle(
@@ -239,9 +239,10 @@ def draw_amplitudes(path):
                     one.plot(omega, ours / unit, color=colours[degrees], label=f"{degrees} deg")
                 else:
                     one.plot(omega, theirs / unit, "o", color=colours[degrees], ms=4)
-                one.set_ylabel(f"{motion}, {'m/m' if motion == 'heave' else 'deg/m'}")
-                one.set_title(name, fontsize=10)
-                one.set_ylim(bottom=0.0)
+        for one, motion in zip(row, MOTIONS, strict=True):
+            one.set_ylabel(f"{motion}, {'m/m' if motion == 'heave' else 'deg/m'}")
+            one.set_title(name, fontsize=10)
+            one.set_ylim(bottom=0.0)  # after all curves, which set the top
     for one in axes[-1]:
         one.set_xlabel("wave frequency, rad/s")
     axes[0, 0].legend(fontsize=8)
