@@ -75,7 +75,9 @@ def write_csv(file: BinaryIO | gzip.GzipFile, columns: Mapping[str, npt.ArrayLik
     values = [np.asarray(column) for column in columns.values()]
     for first in range(0, len(values[0]), _CSV_ROWS):
         parts = [column[first : first + _CSV_ROWS].astype(object) for column in values]
-        writer.writerows(zip(*(np.where(part == part, part, None) for part in parts), strict=True))
+        for part in parts:
+            part[part != part] = None  # NaN
+        writer.writerows(zip(*parts, strict=True))
     text.detach()
 
 
