@@ -227,8 +227,9 @@ class CsvFile:
 
 
 def _reader(text: bytes, mark: str) -> Any:
-    lines = io.StringIO(text.decode("utf-8", "replace"), newline="\n")
-    return csv.reader(lines, delimiter=mark, strict=True)
+    """Return a reader of lines; a carriage return within one counts as a space."""
+    lines = text.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", " ")
+    return csv.reader(io.StringIO(lines, newline="\n"), delimiter=mark, strict=True)
 
 
 def twice_said(source: str | Path, name: str, place: str) -> str:
