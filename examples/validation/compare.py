@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from matplotlib.figure import Figure
 
 from usv_gym import SeaState, Vessel
@@ -159,11 +158,11 @@ def replays(folder):
 
 def replay(path):
     """Return the recorded and the simulated track."""
-    log = pl.read_csv(path)
+    log = np.genfromtxt(path, delimiter=",", names=True)
     names = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
     names |= {"r": "r_radps", "delta": "delta_rad"}
-    measured = Track(**{ours: log[theirs].to_numpy() for ours, theirs in names.items()})
-    shaft, helm = log["n_rps"].to_numpy(), measured.helm
+    measured = Track(**{ours: log[theirs] for ours, theirs in names.items()})
+    shaft, helm = log["n_rps"], measured.helm
     columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
     states = np.zeros((len(measured.t), fr.STATE_SIZE))
     for name, column in columns.items():
