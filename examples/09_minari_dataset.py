@@ -1,23 +1,26 @@
 """Write episodes of an agent as a Minari data set, with the truth and the forecasts of its twin.
 
 Minari (https://minari.farama.org) keeps data sets of offline reinforcement learning, in
-``~/.minari``, or where MINARI_DATASETS_PATH says. Needs the extra ``minari``. Run
-``python examples/09_minari_dataset.py usv/los-twin-v0 los-twin [seeds]``; the second name is what
-``usv-twin evaluate`` takes.
+``~/.minari``, or where MINARI_DATASETS_PATH says. Run
+``python examples/09_minari_dataset.py usv/los-twin-v0 los-twin``.
 """
 
+import argparse
 import copy
-import sys
 import warnings
 
 import gymnasium as gym
-import minari
 import numpy as np
-from minari.data_collector import EpisodeBuffer
 
 from twin.agents.evaluation import agents_named, make_envs
 from twin.model.rollout import HORIZONS
 from twin.sim.bridge import TRUE_STATE
+
+try:
+    import minari
+    from minari.data_collector import EpisodeBuffer
+except ImportError as error:
+    raise SystemExit(f"{error}: python -m pip install -e '.[minari]'") from None
 
 OPTIONS = {"sea": "2", "faults": "gps30", "twin": "ukf", "frame_skip": 10}
 DESCRIPTION = f"""Episodes of an unmanned surface vessel. Infos have a row for each observation.
@@ -78,4 +81,8 @@ def main(name, model, seeds):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], int(sys.argv[3]) if len(sys.argv) > 3 else 4)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("name", help="of the data set, such as usv/los-twin-v0")
+    parser.add_argument("model", help="the agent, as usv-twin evaluate takes it")
+    parser.add_argument("seeds", nargs="?", type=int, default=4, help="episodes to sail")
+    main(**vars(parser.parse_args()))

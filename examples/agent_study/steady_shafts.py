@@ -1,11 +1,10 @@
 """What a loss of GPS costs model-predictive control, by its use of the shafts and by its twin.
 
 With a larger `effort` shaft speeds stay near the nominal one, where the twin knows the boat best.
-The model `mmg` also knows how the resistance goes with speed, which `ukf` by itself does not:
-python examples/agent_study/steady_shafts.py [boats]
+The model `mmg` also knows how the resistance goes with speed, which `ukf` by itself does not.
 """
 
-import sys
+import argparse
 
 import numpy as np
 from bootstrap import interval, iqm
@@ -43,4 +42,6 @@ def main(boats: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 160)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("boats", nargs="?", type=int, default=160)
+    main(parser.parse_args().boats)

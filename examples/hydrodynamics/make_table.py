@@ -3,11 +3,10 @@
 Run ``python examples/hydrodynamics/make_table.py usv75 [usv75.nc]``.
 """
 
-import sys
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
-import capytaine as cpt
 import numpy as np
 
 from usv_gym import Vessel
@@ -16,6 +15,11 @@ from usv_gym.hydro.netcdf import write_table
 from usv_gym.hydro.table import HydroTable
 from usv_gym.physics import GRAVITY
 from usv_gym.vessel.geometry import hull_of
+
+try:
+    import capytaine as cpt
+except ImportError as error:
+    raise SystemExit(f"{error}: python -m pip install -e '.[hydro]'") from None
 
 # over sqrt(g / L); in shorter waves panels of pontoons are too coarse
 FREQUENCIES = np.concatenate(
@@ -193,4 +197,7 @@ def main(vessel: str, out: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("vessel", help="name of a vessel, or its TOML file")
+    parser.add_argument("out", nargs="?", default="", help="the table, VESSEL.nc if left out")
+    main(**vars(parser.parse_args()))

@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from matplotlib.figure import Figure
 
 from usv_gym import SeaState, Vessel
@@ -159,11 +158,11 @@ def replays(folder):
 
 def replay(path):
     """Return the recorded and the simulated track."""
-    log = pl.read_csv(path)
+    log = np.genfromtxt(path, delimiter=",", names=True)
     names = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
     names |= {"r": "r_radps", "delta": "delta_rad"}
-    measured = Track(**{ours: log[theirs].to_numpy() for ours, theirs in names.items()})
-    shaft, helm = log["n_rps"].to_numpy(), measured.helm
+    measured = Track(**{ours: log[theirs] for ours, theirs in names.items()})
+    shaft, helm = log["n_rps"], measured.helm
     columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
     states = np.zeros((len(measured.t), fr.STATE_SIZE))
     for name, column in columns.items():
@@ -202,7 +201,7 @@ def axes_of(rows, columns, width, height):
 
 def draw_turns(path):
     """Turning circles of KVLCC2 with the measured advance, transfer and diameter."""
-    figure, ((one,),) = axes_of(1, 1, 7.0, 2.8)
+    figure, ((one,),) = axes_of(1, 1, 7.0, 3.2)
     for side, sign, colour in (("starboard", 1.0, "#0072B2"), ("port", -1.0, "#E69F00")):
         k = 0 if sign > 0 else 1
         track = trials.turning_circle(
@@ -239,9 +238,10 @@ def draw_amplitudes(path):
                     one.plot(omega, ours / unit, color=colours[degrees], label=f"{degrees} deg")
                 else:
                     one.plot(omega, theirs / unit, "o", color=colours[degrees], ms=4)
-                one.set_ylabel(f"{motion}, {'m/m' if motion == 'heave' else 'deg/m'}")
-                one.set_title(name, fontsize=10)
-                one.set_ylim(bottom=0.0)
+        for one, motion in zip(row, MOTIONS, strict=True):
+            one.set_ylabel(f"{motion}, {'m/m' if motion == 'heave' else 'deg/m'}")
+            one.set_title(name, fontsize=10)
+            one.set_ylim(bottom=0.0)  # after all curves, which set the top
     for one in axes[-1]:
         one.set_xlabel("wave frequency, rad/s")
     axes[0, 0].legend(fontsize=8)

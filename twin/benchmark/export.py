@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from twin import files
 from twin.benchmark.metrics import BASELINE, ORACLE
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.tables import best_text, grouped, is_best, number
@@ -108,8 +108,6 @@ def csv_text(results: Row) -> str:
         With the columns :data:`CSV_COLUMNS`; ``best`` marks the best of the rows of a run, case,
         plan and metric to three digits, the oracle left out.
     """
-    import polars as pl
-
     count, table = _runs(results), []
     rows = [*(results.get("summary") or []), *_recorded(results), *_motion(results)]
     for block in grouped(rows, *CELL, "metric").values():
@@ -122,11 +120,7 @@ def csv_text(results: Row) -> str:
                 "best": is_best(row, best),
             }
             table.append([{**row, **more}.get(name) for name in CSV_COLUMNS])
-    buffer = io.BytesIO()
-    pl.DataFrame(table, schema=list(CSV_COLUMNS), orient="row", infer_schema_length=None).write_csv(
-        buffer
-    )
-    return buffer.getvalue().decode()
+    return files.csv_text(CSV_COLUMNS, table)
 
 
 def latex_text(results: Row) -> str:

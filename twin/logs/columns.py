@@ -13,6 +13,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from twin.logs.datum import Plane
 
 __all__ = [
+    "EMPTY",
     "OTHER_UNITS",
     "REQUIRED",
     "SHARE",
@@ -22,6 +23,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+
+EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
+"""Cells that hold no value."""
 
 REQUIRED = (TIME, *COMMANDS, "gps_x_m", "gps_y_m", "compass_rad")
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.logs.errors import LogError
-from twin.logs.files import CsvFile, ParquetFile
+from twin.logs.parquet import column_file
 from twin.particulars import Particulars
 
 __all__ = ["known_ship"]
@@ -32,7 +32,7 @@ def known_ship(path: str | Path) -> Particulars | None:
     """Return the particulars of the boat of a recorded run, if its columns are known."""
     path = Path(path)
     try:
-        header = set((ParquetFile if path.suffix == ".parquet" else CsvFile)(path).header)
+        header = set(column_file(path).header)
     except LogError:
         return None
     for name, columns in _SHIPS.items():

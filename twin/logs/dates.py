@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from datetime import datetime, timedelta
+from typing import NamedTuple
 
 import numpy as np
 
-from twin.logs.columns import Array, Entry
-
-if TYPE_CHECKING:
-    import polars as pl
+from twin.logs.columns import EMPTY, Array, Entry
 
 __all__ = [
     "MEANINGS",
@@ -60,6 +59,8 @@ _NUMBERS = re.compile(r"^(\d{1,2})([/.\-])(\d{1,2})\2(\d{4}|\d{2})$")
 
 _NAMED = re.compile(r"^([A-Za-z]{3}, )?(\d{1,2})([ \-/.])([A-Za-z]{3,9})\3(\d{4}|\d{2})$")
 
+_SHORT_NUMBER = re.compile(r"\d{1,5}(\.\d+)?$", re.ASCII)
+
 _DAY = 86400.0
 
 
@@ -102,58 +103,168 @@ class Clock(NamedTuple):
         """Whether it says the time of day only."""
         return _undated(self.format) and not self.date
 
-    def seconds(self, frame: pl.DataFrame) -> pl.Series:
-        """Return the seconds since 1970 of some rows; null where there is no date."""
-        import polars as pl
+    def seconds(self, texts: Mapping[str, Sequence[str]]) -> list[float | None]:
+        """Return the seconds since 1970 of some rows; NaN of empty cells, None of other text."""
+        cells = [cell.strip() for cell in texts[self.column]]
+        whole = joined(texts[self.date], cells) if self.date else cells
+        form = self.format
+        if not form:  # ISO 8601, or day, month and year, as the first text has it
+            first = next((text for text in whole if text.strip() not in EMPTY), "")
+            forms = [each.format for each in _candidates(first) if each.order and not each.zone]
+            form = forms[0] if forms and "%Y" in forms[0] and "%I" not in forms[0] else ""
+        return [
+            math.nan if cell in EMPTY else None if math.isnan(second) else second - self.zone
+            for cell, second in zip(cells, dates(whole, form).tolist(), strict=True)
+        ]
 
-        text = frame[self.column].cast(pl.String).str.strip_chars()
-        if self.date:
-            text = joined(frame[self.date].cast(pl.String), text)
-        return dates(text, self.format) - self.zone
 
-
-def joined(day: pl.Series, clock: pl.Series) -> pl.Series:
+def joined(days: Sequence[str], clocks: Sequence[str]) -> list[str]:
     """Return texts of dates and of times of day as one; numbers may lack zeros in front."""
-    return padded(day.str.strip_chars()) + " " + padded(clock.str.strip_chars())
+    return [
+        f"{padded(day.strip())} {padded(clock.strip())}"
+        for day, clock in zip(days, clocks, strict=True)
+    ]
 
 
-def padded(text: pl.Series) -> pl.Series:
-    """Return texts of whole numbers and decimals with six digits before the point, at least."""
-    number = text.str.contains(r"^\d{1,5}(\.\d+)?$").fill_null(False)
-    if not number.any():
+def padded(text: str) -> str:
+    """Return a whole number or a decimal with six digits before the point, at least."""
+    if not _SHORT_NUMBER.match(text):
         return text
-    whole = text.str.extract(r"^(\d+)").str.zfill(6) + text.str.extract(r"(\..*)$").fill_null("")
-    return text.zip_with(~number, whole)
+    whole, point, part = text.partition(".")
+    return whole.zfill(6) + point + part
 
 
 def _undated(form: str) -> bool:
     return bool(form) and "%d" not in form and "%j" not in form
 
 
-def dates(text: pl.Series, form: str = "") -> pl.Series:
-    """Return dates as seconds since 1970, those without a zone as UTC; null for any other text.
+def dates(texts: Sequence[str], form: str = "") -> Array:
+    """Return dates as seconds since 1970 (N,), those without a zone as UTC; NaN for other text.
 
     Parameters
     ----------
-    text : Series of str
+    texts : sequence of str
         Dates and times.
     form : str
-        Their format in chrono's letters; empty for ISO 8601. One without a day counts from
+        Their format in the letters of ``strftime`` and, for parts of a second and zones, those of
+        chrono: ``%.f``, ``%3f``, ``%#z``. Empty for ISO 8601. One without a day counts from
         midnight.
     """
-    import polars as pl
-
     if _undated(form):
-        text = "1970-01-01 " + (padded(text) if form.startswith("%H%M") else text)
+        padding = form.startswith("%H%M")
+        texts = [f"1970-01-01 {padded(text) if padding else text}" for text in texts]
         form = f"%Y-%m-%d {form}"
-    try:
-        if form and not any(zone in form for zone in ("%z", "%:z", "%#z")):
-            date = text.str.to_datetime(form, time_unit="us", strict=False)
+    pattern = _pattern(form) if form else _ISO
+    return np.array([_seconds(pattern.fullmatch(text)) for text in texts], dtype=np.float64)
+
+
+_PARTS = {
+    "%Y": r"(?P<year>\d{4})",
+    "%y": r"(?P<short_year>\d{2})",
+    "%m": r"(?P<month>\d{1,2})",
+    "%b": r"(?P<month_name>[A-Za-z]{3,9})",
+    "%d": r"(?P<day>\d{1,2})",
+    "%j": r"(?P<day_of_year>\d{1,3})",
+    "%a": r"[A-Za-z]{3,9}",
+    "%H": r"(?P<hour>\d{1,2})",
+    "%M": r"(?P<minute>\d{1,2})",
+    "%S": r"(?P<second>\d{1,2})",
+    "%p": r"(?P<half>[AaPp])\.?[Mm]\.?",
+    "%f": r"(?P<part>\d{1,9})",
+    "%.f": r"(?:\.(?P<part>\d+))?",
+    "%z": r"(?P<zone>Z|[+-]\d{2}(?::?\d{2})?)",
+    "%Z": r"[A-Za-z]+",
+    "%s": r"(?P<unix>-?\d+)",
+    "%%": "%",
+}
+"""Letters of a format, and what they stand for in a text."""
+
+_ISO = re.compile(
+    rf"{_PARTS['%Y']}([-/]){_PARTS['%m']}\2{_PARTS['%d']}"
+    rf"(?:[T ]{_PARTS['%H']}:{_PARTS['%M']}(?::{_PARTS['%S']}{_PARTS['%.f']})?"
+    rf"{_PARTS['%z']}?)?",
+    re.ASCII,
+)
+
+_SAME = {"%B": "%b", "%e": "%d", "%A": "%a", "%k": "%H", "%I": "%H", "%l": "%H", "%P": "%p"}
+_SAME |= {"%:z": "%z", "%#z": "%z", "%F": "%Y-%m-%d", "%T": "%H:%M:%S", "%R": "%H:%M"}
+_SAME |= {"%D": "%m/%d/%y", "%h": "%b"}
+"""Letters that stand for others."""
+
+
+@functools.cache
+def _pattern(form: str) -> re.Pattern[str]:
+    """Return the pattern of texts of a format; of one that is not known, that of none."""
+    parts = []
+    letters = re.compile(r"%(?:[:#]z|\.?\d?f|.)|\s+|.")
+    for part in letters.findall("".join(_SAME.get(each, each) for each in letters.findall(form))):
+        digits = re.fullmatch(r"%(\.?)(\d)f", part)
+        if digits:
+            parts.append(re.escape(digits[1]) + rf"(?P<part>\d{{{digits[2]}}})")
+        elif part.startswith("%"):
+            parts.append(_PARTS.get(part, "(?!)"))
         else:
-            date = text.str.to_datetime(form or None, time_unit="us", time_zone="UTC", strict=False)
-    except pl.exceptions.PolarsError:
-        return pl.Series([None] * len(text), dtype=pl.Float64)
-    return date.dt.epoch("us").cast(pl.Float64) * 1e-6
+            parts.append(r"\s*" if part.isspace() else re.escape(part))
+    try:
+        return re.compile("".join(parts), re.ASCII)
+    except re.error:  # a letter that stands twice
+        return re.compile("(?!)")
+
+
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+
+
+def _seconds(match: re.Match[str] | None) -> float:
+    """Return the seconds since 1970 of the parts of a date and time; NaN if there is no such."""
+    if match is None:
+        return math.nan
+    part = match.groupdict()
+    if part.get("unix"):
+        return float(part["unix"])
+    hour, minute, second = (int(part.get(key) or 0) for key in ("hour", "minute", "second"))
+    if half := part.get("half"):
+        if not 1 <= hour <= 12:
+            return math.nan
+        hour = hour % 12 + 12 * (half in "Pp")
+    if hour > 23 or minute > 59 or second > 60:
+        return math.nan
+    try:
+        days = _day(*(part.get(key) for key in _DAY_PARTS))
+    except ValueError:
+        return math.nan
+    micros = int((part.get("part") or "0")[:6].ljust(6, "0"))
+    zone = part.get("zone") or "Z"
+    ahead = 0
+    if zone != "Z":
+        ahead = 60 * int(zone[1:3]) + int(zone[-2:] if len(zone) > 3 else 0)
+        ahead = -ahead if zone[0] == "-" else ahead
+    whole = 86400 * days + 3600 * hour + 60 * (minute - ahead) + second
+    return (10**6 * whole + micros) * 1e-6
+
+
+_DAY_PARTS = ("year", "short_year", "month", "month_name", "day", "day_of_year")
+
+
+@functools.lru_cache(maxsize=64)
+def _day(
+    year: str | None,
+    short: str | None,
+    month: str | None,
+    name: str | None,
+    day: str | None,
+    of_year: str | None,
+) -> int:
+    """Return the days since 1970 of the parts of a date; ValueError if there is no such day."""
+    if short is not None:
+        century = 1900 if int(short) >= 70 else 2000  # as POSIX has it
+        year = str(century + int(short))
+    if name is not None:
+        month = str(_MONTHS.index(name[:3].lower()) + 1)
+    if of_year is not None:
+        date = datetime(int(year or ""), 1, 1) + timedelta(days=int(of_year) - 1)
+    else:
+        date = datetime(int(year or ""), int(month or ""), int(day or ""))
+    return (date - datetime(1970, 1, 1)).days
 
 
 @dataclass
@@ -182,10 +293,8 @@ def date_formats(texts: Sequence[str]) -> list[DateFormat]:
     texts : sequence of str
         Cells of one column; empty ones are left out.
     """
-    import polars as pl
-
-    cells = pl.Series([text.strip() for text in texts if text.strip()], dtype=pl.String)
-    if not len(cells):
+    cells = [text.strip() for text in texts if text.strip()]
+    if not cells:
         return []
     if all(re.match(r"\d{4}-\d{2}-\d{2}", text) for text in cells) and _fits(cells, ""):
         return [DateFormat("")]
@@ -199,11 +308,11 @@ def date_formats(texts: Sequence[str]) -> list[DateFormat]:
     return [DateFormat(each.format, "", each.zone) for each in found]
 
 
-def _fits(cells: pl.Series, form: str) -> bool:
-    return not dates(cells, form).is_null().any()
+def _fits(cells: Sequence[str], form: str) -> bool:
+    return not np.isnan(dates(cells, form)).any()
 
 
-def _span(cells: pl.Series, form: str) -> float:
+def _span(cells: Sequence[str], form: str) -> float:
     """Return seconds from the first to the last of dates."""
     seconds = dates(cells, form)
     return abs(float(seconds[-1]) - float(seconds[0]))

@@ -1,4 +1,4 @@
-"""CSV and Parquet files: their header, and their columns as numbers, block by block."""
+"""CSV files: their header, and their columns as numbers, block by block."""
 
 from __future__ import annotations
 
@@ -7,36 +7,28 @@ import gzip
 import io
 import math
 import re
-import subprocess
-import sys
-import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
-from twin.logs.columns import Array
+from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import Clock
 from twin.logs.errors import LogError
 
-if TYPE_CHECKING:
-    import polars as pl
-
 __all__ = [
-    "EMPTY",
     "CsvFile",
-    "ParquetFile",
+    "as_numbers",
     "cannot_be_read",
     "is_number",
-    "ragged_line",
+    "number_of",
     "shorten",
     "twice_said",
     "units_line",
-    "with_points",
 ]
 
 _BLOCK_BYTES = 1 << 20
@@ -48,10 +40,8 @@ _BLANK_MAX = 1000
 _REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
 """What lines of comments begin with, and the most of them that are looked at."""
 
-_BLOCK_ROWS = 1 << 19
-
-EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
-"""Cells that hold no value."""
+_LOOK = 1000
+"""First rows in which a surplus cell is refused where all columns are looked at."""
 
 Block = tuple[Array, dict[str, Array], set[str]]
 """Number of each row in the file, the columns, and which of them were dates."""
@@ -62,58 +52,73 @@ def shorten(text: str, length: int = 40) -> str:
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
-def _numbers(
-    frame: pl.DataFrame, clock: Clock, lines: Array, source: str, unit: str
-) -> tuple[dict[str, Array], set[str]]:
-    """Return the columns as float64, dates as seconds since 1970; refuse any other text."""
-    import polars as pl
+def number_of(cell: str) -> float | None:
+    """Return a cell as a number, NaN if it is empty; None if it is no number."""
+    if not cell:
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        return math.nan if cell.strip() in EMPTY else None
+    return value if cell.isascii() and "_" not in cell else None  # Python reads more than numbers
 
-    dated: set[str] = set()
-    columns: dict[str, Array] = {}
+
+def _numbers_of(cells: Sequence[str]) -> list[float | None]:
+    """Return cells as numbers as :func:`number_of` does, fast where all are plain."""
+    text = "".join(cells)
+    if text.isascii() and "_" not in text:
+        try:
+            return [float(cell) if cell else math.nan for cell in cells]
+        except ValueError:
+            pass
+    return [number_of(cell) for cell in cells]
+
+
+def as_numbers(
+    columns: Mapping[str, Array | Sequence[str]], clock: Clock, lines: Array, file: str, unit: str
+) -> dict[str, Array]:
+    """Return columns as numbers, dates as seconds since 1970; refuse any other text.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray or sequence of str
+        By name; texts hold the cells as they stand in the file.
+    clock : Clock
+        The column of dates, if any.
+    lines : ndarray, shape (N,)
+        Number of each row in the file.
+    file, unit : str
+        What messages call the file and its rows.
+    """
+    numbers: dict[str, Array] = {}
     wrong: tuple[int, str] | None = None
-    for name, kind in frame.schema.items():
-        values = frame[name]
-        if name == clock.date:
-            columns[name] = np.full(frame.height, math.nan)  # read with the time of day
+    texts = {name: cells for name, cells in columns.items() if not isinstance(cells, np.ndarray)}
+    for name, cells in columns.items():
+        if isinstance(cells, np.ndarray):
+            numbers[name] = cells
             continue
-        if name == clock.column and clock.format and kind.is_numeric():
-            values = values.cast(pl.String)
-        if values.dtype == pl.String:
-            text = values.str.strip_chars()
-            values = (
-                clock.seconds(frame)
-                if name == clock.column
-                else text.cast(pl.Float64, strict=False)
-            )
-            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(EMPTY)
-            row = bad.arg_max() if bad.any() else None
-            if row is not None and (wrong is None or row < wrong[0]):
-                wrong = row, name
-            dated |= {name} & {clock.column}
-        elif kind in (pl.Datetime, pl.Date):
-            values = values.cast(pl.Datetime("us")).dt.epoch("us").cast(pl.Float64) * 1e-6
-            dated.add(name)
-        elif kind == pl.Duration:
-            values = values.dt.total_microseconds().cast(pl.Float64) * 1e-6
-        elif not (kind.is_numeric() or kind == pl.Null):
-            raise LogError(f"{source}: column {name} holds {kind}, not numbers; convert it")
-        numbers = values.cast(pl.Float64)
-        columns[name] = numbers.to_numpy().astype(np.float64, copy=False)
+        if name == clock.date:
+            numbers[name] = np.full(len(cells), math.nan)  # read with the time of day
+            continue
+        values = clock.seconds(texts) if name == clock.column else _numbers_of(cells)
+        if None in values and (wrong is None or values.index(None) < wrong[0]):
+            wrong = values.index(None), name
+        numbers[name] = np.array(values, dtype=np.float64)
     if wrong is not None:
         row, name = wrong
-        texts = {key: frame[key] for key in frame.columns if frame[key].dtype == pl.String}
+        cell = texts[name][row]
         if row == 0 and (units := units_line(texts)):
-            raise LogError(f"{source}: {unit} {int(lines[0])} {units}")
+            raise LogError(f"{file}: {unit} {int(lines[0])} {units}")
         what = "date and time" if name == clock.column else "number"
         timed = name in (clock.column, TIME)
         remedy = "remove the row" if timed else "leave the cell empty where there is no value"
-        if re.fullmatch(r"\s*-?\d+,\d+\s*", str(frame[name][row])):
+        if re.fullmatch(r"\s*-?\d+,\d+\s*", cell):
             remedy = "if the comma is the decimal mark, separate the cells by semicolons or tabs"
         raise LogError(
-            f"{source}: column {name}, {unit} {int(lines[row])}: {shorten(frame[name][row])!r} is "
+            f"{file}: column {name}, {unit} {int(lines[row])}: {shorten(cell)!r} is "
             f"not a {what}; correct it, or {remedy}"
         )
-    return columns, dated
+    return numbers
 
 
 class CsvFile:
@@ -122,7 +127,9 @@ class CsvFile:
     Cells are separated by commas; or by semicolons or tabs, where a comma may be the decimal mark.
     """
 
-    unit = "line"
+    unit = "line"  # what messages call a row
+    head: str  # what messages call the header
+    first: int  # number of the first row
 
     def __init__(self, path: Path) -> None:
         self.path, self.source, self.torn = path, str(path), False
@@ -138,7 +145,8 @@ class CsvFile:
                 "gzip or drop the .gz"
             )
         with self._whole(), self._open() as file:
-            self.blank, self.raw, self.mark, self.header = _read_header(path, file)
+            blank, self.mark, self.header = _read_header(path, file)
+        self.head, self.first = f"line {blank + 1}", blank + 2
 
     def _open(self) -> BinaryIO:
         return gzip.open(self.path, "rb") if self.packed else self.path.open("rb")  # type: ignore[return-value]
@@ -159,9 +167,9 @@ class CsvFile:
     def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[Block]:
         """Yield the columns named, in pieces of whole lines; ``clock`` holds dates, if any."""
         wanted = [j for j, name in enumerate(self.header) if name in sources]
-        first = self.blank + 2
+        first = self.first
         with self._whole(), self._open() as file:
-            for _ in range(self.blank + 1):
+            for _ in range(first - 1):
                 file.readline()
             for text in _pieces(file, self.source):
                 if text and not text.strip():  # blank lines only
@@ -174,49 +182,54 @@ class CsvFile:
                     and text.count(self.mark.encode()) + 1 < len(self.header)
                 ):
                     text, self.torn = b"", True
-                frame = self._parsed(text, first, wanted, clock)
-                lines = np.arange(first, first + frame.height, dtype=np.float64)
-                yield lines, *_numbers(frame, clock, lines, self.source, self.unit)
+                columns = self._cells(text, first, wanted)
+                lines = np.arange(first, first + len(columns[0]), dtype=np.float64)
+                named = dict(zip((self.header[j] for j in wanted), columns, strict=True))
+                numbers = as_numbers(named, clock, lines, self.source, self.unit)
+                yield lines, numbers, {clock.column} & set(numbers)
                 first += text.count(b"\n")
 
-    def _parsed(self, text: bytes, first: int, wanted: list[int], clock: Clock) -> pl.DataFrame:
-        """Return the wanted columns of some lines: as numbers if all are, else as text."""
-        import polars as pl
+    def _cells(self, text: bytes, first: int, wanted: Sequence[int]) -> list[list[str]]:
+        """Return the cells of the wanted columns of lines, with a point in decimals.
 
-        header = self.raw + b"\n" + text
-        names = [self.header[j] for j in wanted]
-
-        def read(numbers: bool) -> pl.DataFrame:
-            kinds = [
-                pl.Float64
-                if numbers and j in wanted and name not in (clock.column, clock.date)
-                else pl.String
-                for j, name in enumerate(self.header)
-            ]
-            frame = pl.read_csv(
-                header,
-                columns=wanted,
-                infer_schema=False,
-                separator=self.mark,
-                null_values=list(EMPTY),
-                encoding="utf8" if numbers else "utf8-lossy",
-                schema_overrides=kinds,
-            )
-            return frame.rename(dict(zip(frame.columns, names, strict=True)))
-
+        Missing cells are empty. Surplus ones are left out, unless every column is wanted.
+        """
+        reader = _reader(text, self.mark)
         try:
-            frame = read(numbers=True)
-            return frame if self.mark == "," else with_points(frame)
-        except pl.exceptions.PolarsError:
-            pass  # spaces around numbers, or a cell that is no number: look at the text
-        try:
-            frame = read(numbers=False)
-            return frame if self.mark == "," else with_points(frame)
-        except pl.exceptions.PolarsError as error:
-            ragged = ragged_line(text, first, len(self.header), self.mark)
+            rows = list(reader)
+        except csv.Error as error:
             raise LogError(
-                f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
+                f"{self.source}: line {first - 1 + reader.line_num}: {error}; check the quotation "
+                "marks up to there"
             ) from None
+        if len(wanted) == len(self.header):
+            ragged = ragged_line(text, first, len(self.header), self.mark)
+            if ragged:
+                raise LogError(f"{self.source}: {ragged}")
+        missing = [""] * len(self.header)
+        rows = [row if len(row) >= len(missing) else row + missing[len(row) :] for row in rows]
+        columns = [[row[j] for row in rows] for j in wanted]
+        return columns if self.mark == "," else [with_points(column) for column in columns]
+
+    def texts(self, rows: int) -> dict[str, list[str]]:
+        """Return the cells of the first rows, by column; of equal names, the first one's."""
+        with self._whole(), self._open() as file:
+            for _ in range(self.first - 1):
+                file.readline()
+            lines = [file.readline() for _ in range(rows)]
+        # a surplus comma would shift the cells: of "Fri, 05 Apr", or of seconds with a comma
+        look = b"".join(lines[:_LOOK])
+        if ragged := ragged_line(look, self.first, len(self.header), self.mark):
+            raise LogError(f"{self.source}: {ragged}, or put cells that hold a comma in quotes")
+        names = list(dict.fromkeys(self.header))
+        wanted = [self.header.index(name) for name in names]
+        return dict(zip(names, self._cells(b"".join(lines), self.first, wanted), strict=True))
+
+
+def _reader(text: bytes, mark: str) -> Any:
+    """Return a reader of lines; a carriage return within one counts as a space."""
+    lines = text.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", " ")
+    return csv.reader(io.StringIO(lines, newline="\n"), delimiter=mark, strict=True)
 
 
 def twice_said(source: str | Path, name: str, place: str) -> str:
@@ -224,11 +237,11 @@ def twice_said(source: str | Path, name: str, place: str) -> str:
     return f"{source}: column {name} stands twice in {place}; remove or rename one of them"
 
 
-def units_line(columns: Mapping[str, pl.Series]) -> str:
+def units_line(columns: Mapping[str, Sequence[str]]) -> str:
     """Return the complaint about units in the first row of columns, or nothing."""
-    first = [str(values[0]).strip() for values in columns.values() if len(values) > 1]
-    second = [str(values[1]).strip() for values in columns.values() if len(values) > 1]
-    words = [text for text in first if text not in ("", *EMPTY)]
+    first = [values[0].strip() for values in columns.values() if len(values) > 1]
+    second = [values[1].strip() for values in columns.values() if len(values) > 1]
+    words = [text for text in first if text not in EMPTY]
     short = len(words) > 1 and all(len(text) < 16 for text in words)
     if not short or any(re.search(r"\d{2}", text) or is_number(text) for text in words):
         return ""
@@ -237,22 +250,18 @@ def units_line(columns: Mapping[str, pl.Series]) -> str:
     return f"holds units or other words ({shorten(', '.join(words))}), not values; remove this line"
 
 
-def with_points(frame: pl.DataFrame) -> pl.DataFrame:
-    """Return cells of text with a point where a digit follows a comma, as decimals have.
+def with_points(cells: list[str]) -> list[str]:
+    """Return cells of a column with a point where a digit follows a comma, as decimals have.
 
     A column in which numbers have both stays as it is: there a comma may part thousands.
     """
-    import polars as pl
-
-    columns = []
-    for name in frame.columns:
-        text = frame[name]
-        if text.dtype == pl.String:
-            numbers = text.filter(~text.str.contains(":"))
-            if not (numbers.str.contains(",").any() and numbers.str.contains(r"\.").any()):
-                text = text.str.replace(r",(\d+)", ".$1")
-        columns.append(text)
-    return pl.DataFrame(columns)
+    commas = [cell for cell in cells if "," in cell]
+    if not commas:
+        return cells
+    numbers = [cell for cell in cells if ":" not in cell]
+    if any("," in cell for cell in numbers) and any("." in cell for cell in numbers):
+        return cells
+    return [re.sub(r",(\d+)", r".\1", cell, count=1) for cell in cells]
 
 
 def _pieces(file: BinaryIO, source: str) -> Iterator[bytes]:
@@ -275,8 +284,8 @@ def cannot_be_read(path: Path, error: OSError) -> LogError:
     return LogError(f"{path}: cannot be read ({reason}); check the name and the file")
 
 
-def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str, ...]]:
-    """Return the blank lines before the header, its bytes, what separates cells, and its names."""
+def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]:
+    """Return the blank lines before the header, what separates cells, and its names."""
     blank = 0
     if b"\0" in file.read(4096):
         raise LogError(f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8")
@@ -318,7 +327,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str
             f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
             f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
         )
-    return blank, raw.rstrip(b"\r\n"), mark, tuple(name.strip() for name in header)
+    return blank, mark, tuple(name.strip() for name in header)
 
 
 def _lines_above(text: str, header: Sequence[str], file: BinaryIO) -> int:
@@ -351,8 +360,7 @@ def is_number(text: str) -> bool:
 
 def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:
     """Return the complaint about the first line with more cells than the header has."""
-    lines = io.TextIOWrapper(io.BytesIO(text), "utf-8", errors="replace", newline="")
-    reader = csv.reader(lines, delimiter=mark)
+    reader = _reader(text, mark)
     with suppress(csv.Error):
         for cells in reader:
             if len(cells) > width:
@@ -367,68 +375,3 @@ def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:
                     f"{width}; {remedy}"
                 )
     return None
-
-
-_READER = """
-import sys, polars as pl
-source, columns, *numbers = sys.argv[1:]
-pl.scan_parquet(source, glob=False).select(pl.nth(*map(int, numbers))).sink_ipc(columns)
-"""
-"""Run by a process of its own: of a damaged page, polars 2.1 asks for more memory than there is and
-ends its process."""
-
-
-class ParquetFile:
-    """A Parquet file; LogError where it is none."""
-
-    unit = "row"
-
-    def __init__(self, path: Path) -> None:
-        import polars as pl
-
-        self.path, self.source = path, str(path)
-        try:
-            with path.open("rb") as file:
-                start = file.read(4)
-        except OSError as error:
-            raise cannot_be_read(path, error) from None
-        if start != b"PAR1":
-            what = "is not a Parquet file" if start else "the file is empty"
-            raise LogError(f"{path}: {what}; write it again, or give a CSV file the ending .csv")
-        try:
-            self.header = tuple(pl.read_parquet_schema(path))
-        except pl.exceptions.DuplicateError as error:
-            raise LogError(f"{path}: {error}; rename one of them") from None
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-            raise self._damaged(str(error)) from None
-
-    def _damaged(self, reason: str) -> LogError:
-        said = shorten(" ".join(reason.split()) or "its pages", 100)
-        return LogError(
-            f"{self.path}: the Parquet file is damaged or cut off ({said}); copy it again"
-        )
-
-    def frames(self, sources: Sequence[str], rows: int) -> Iterator[pl.DataFrame]:
-        """Yield the columns named, in pieces of so many rows; one empty piece if there are none."""
-        import polars as pl
-
-        numbers = [str(self.header.index(name)) for name in sources]
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            columns = Path(folder) / "columns.arrow"
-            command = [sys.executable, "-P", "-c", _READER, str(self.path), str(columns)]
-            done = subprocess.run([*command, *numbers], capture_output=True, check=False)
-            if done.returncode:
-                lines = done.stderr.decode("utf-8", "replace").strip().splitlines() or [""]
-                raise self._damaged(lines[-1 if done.returncode == 1 else 0])
-            whole = pl.scan_ipc(columns)
-            height = whole.select(pl.len()).collect().item()
-            for first in range(0, max(height, 1), rows):
-                yield whole.slice(first, rows).collect()
-
-    def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[Block]:
-        """Yield the columns named, in pieces; see :meth:`CsvFile.blocks`."""
-        first = 0
-        for frame in self.frames(sources, _BLOCK_ROWS):
-            lines = np.arange(first + 1, first + 1 + frame.height, dtype=np.float64)
-            first += frame.height
-            yield lines, *_numbers(frame, clock, lines, self.source, self.unit)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import gzip
-import io
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from twin.channels import (
     TRUTH,
     WIND_SPEED,
 )
+from twin.files import write_csv
 from twin.logs.autopilot.readers import is_autopilot_log, read_autopilot_log
 from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.checks import (
@@ -42,8 +42,9 @@ from twin.logs.checks import (
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
-from twin.logs.files import CsvFile, ParquetFile, shorten, twice_said
+from twin.logs.files import CsvFile, shorten, twice_said
 from twin.logs.mapping import Layout, layout_of, lone_sides, mapping_path
+from twin.logs.parquet import ParquetFile, column_file, need_polars, write_parquet
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
 from twin.logs.rosbag import is_bag, read_bag
@@ -226,8 +227,6 @@ class Log:
         if Path(path).suffix == BAG_SUFFIX:
             write_bag(path, self)
             return
-        import polars as pl
-
         columns = {TIME: self.t}
         columns.update(zip(COMMANDS, self.cmd.T, strict=True))
         columns.update(zip(MEASUREMENTS[:WIND_SPEED], self.z.T, strict=False))
@@ -240,18 +239,16 @@ class Log:
             columns.update(zip(TRUE_MOTION, self.true_motion.T, strict=True))
         if self.datum is not None:
             columns.update(self.datum.columns(len(self)))
-        frame = pl.DataFrame(columns).fill_nan(None)
+        if Path(path).suffix == ".parquet":
+            write_parquet(path, need_polars(f"{path}: writing Parquet").DataFrame(columns))
+            return
         with replacing(path) as partial, partial.open("wb") as raw:
-            if partial.suffix == ".parquet":
-                packed = io.BytesIO()  # polars would turn a full disk into an error of its own
-                frame.write_parquet(packed)
-                raw.write(packed.getvalue())
-            elif partial.suffix == ".gz":
+            if partial.suffix == ".gz":
                 # No time stamp and no name inside: equal logs give equal files.
                 with gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
-                    frame.write_csv(file)  # type: ignore[call-overload]
+                    write_csv(file, columns)
             else:
-                frame.write_csv(raw)
+                write_csv(raw, columns)
 
     @classmethod
     def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:
@@ -331,7 +328,7 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
         table = read_bag(path, layout)
         table.lacking = _lacking(table.source, table.data, "name them in the mapping")
         return table
-    file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
+    file = column_file(path)
     entries, left, layout, lacking = _chosen(file, layout)
     if not any(TIME in entry.names for entry in entries):
         raise LogError(lacking)
@@ -387,12 +384,11 @@ def _chosen(
 ) -> tuple[list[Entry], list[str], Layout, str]:
     """Return how to make a log of a file's columns, what is left out, the mapping, what lacks."""
     source, header = file.source, file.header
-    first = "the header" if isinstance(file, ParquetFile) else f"line {file.blank + 1}"
     mapped_here = layout is not None and bool(layout.entries)
     if layout is None and not {"gps_x_m", "gps_y_m"} <= set(header):
         layout = layout_of(name_of(file.path), header)
     layout = layout or Layout()
-    there = f"({first} has: {shorten(', '.join(header), 200)})"
+    there = f"({file.head} has: {shorten(', '.join(header), 200)})"
     for entry in layout.entries:
         if entry.topic:
             raise LogError(
@@ -424,7 +420,7 @@ def _chosen(
         used.add(given)
     for given in used:
         if header.count(given) > 1:
-            raise LogError(twice_said(source, given, first))
+            raise LogError(twice_said(source, given, file.head))
     left = [given for given in header if given not in used]
     absent = [
         name

@@ -20,8 +20,9 @@ from twin.logs.columns import Array, Entry
 from twin.logs.dates import Clock, Midnight, past_midnight
 from twin.logs.datum import Plane
 from twin.logs.errors import LogError
-from twin.logs.files import CsvFile, ParquetFile
+from twin.logs.files import CsvFile
 from twin.logs.mapping import Layout
+from twin.logs.parquet import ParquetFile
 
 __all__ = [
     "MAX_ROWS",

@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import STATE, TIME
+from twin.files import write_csv
 from twin.logs.datum import Datum
+from twin.logs.parquet import need_polars, write_parquet
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import write_whole
 
@@ -66,6 +68,8 @@ def check_export(path: str | Path, datum: Datum | None, more: Collection[str] = 
         raise ExportError(
             f"{path}: unknown kind of file; its name must end in {', '.join((*FORMATS, *more))}"
         )
+    if suffix == ".parquet":
+        need_polars(f"{path}: writing Parquet", ExportError)
     if suffix == ".geojson" and (datum is None or datum.plane is None):
         raise ExportError(
             f"{path}: GeoJSON needs latitude and longitude, and the log has positions in metres "
@@ -133,9 +137,8 @@ class StateTable(np.ndarray):
         return {name: np.ascontiguousarray(rows[name]) for name in self.dtype.names or ()}
 
     def to_polars(self) -> pl.DataFrame:
-        """Return a polars DataFrame; dates are in UTC, and NaN is null."""
-        import polars as pl
-
+        """Return a polars DataFrame, where polars is installed; dates are in UTC, NaN is null."""
+        pl = need_polars("a DataFrame of polars", ExportError)
         frame = pl.DataFrame(self._columns()).fill_nan(None)
         if _UTC in frame.columns:
             frame = frame.with_columns(pl.col(_UTC).dt.replace_time_zone("UTC"))
@@ -167,20 +170,23 @@ class StateTable(np.ndarray):
         ExportError
             Names the file and the remedy.
         """
-        import polars as pl
-
         path = Path(path)
         check_export(path, self.datum)
-        buffer = io.BytesIO()
         if path.suffix == ".parquet":
-            self.to_polars().write_parquet(buffer)
+            write_parquet(path, self.to_polars())
         elif path.suffix == ".csv":
-            frame = self.to_polars().with_columns(pl.col(TIME).round(_TIME_DIGITS))
-            frame.write_csv(buffer, datetime_format="%Y-%m-%dT%H:%M:%S%.6fZ")
+            columns = self._columns()
+            columns[TIME] = columns[TIME].round(_TIME_DIGITS)
+            if _UTC in columns:
+                dates = columns[_UTC]
+                texts = np.char.add(np.datetime_as_string(dates, unit="us"), "Z")
+                columns[_UTC] = np.where(np.isnat(dates), "", texts)
+            buffer = io.BytesIO()
+            write_csv(buffer, columns)
+            write_whole(path, buffer.getvalue())
         else:
             text = json.dumps(self._geojson(about), allow_nan=False, separators=(",", ":"))
-            buffer.write(text.encode())
-        write_whole(path, buffer.getvalue())
+            write_whole(path, text.encode())
 
     def _geojson(self, about: Mapping[str, Any]) -> dict[str, Any]:
         """Return a collection of the track and of a point for each row (RFC 7946)."""

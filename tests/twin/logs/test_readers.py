@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import math
+import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,13 +38,15 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.logs import files, mapping
+from twin.logs import files, mapping, parquet
 from twin.logs import readers as table
 from twin.logs.errors import LogError
 from twin.logs.log import Log, sibling_path
 from twin.logs.mapping import Layout
+from twin.logs.tables import StateTable
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
+from usv_kernel.errors import UsvTwinError
 
 # --- files beside a log -----------------------------------------------------------------------
 
@@ -468,7 +472,7 @@ def test_block_size_changes_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     thin = written(tmp_path / "m.toml", "[rows]\nstep_s = 0.7\n")
     thinned = Log.read(tmp_path / "a.csv", thin)
     monkeypatch.setattr(files, "_BLOCK_BYTES", 700)
-    monkeypatch.setattr(files, "_BLOCK_ROWS", 30)
+    monkeypatch.setattr(parquet, "_BLOCK_ROWS", 30)
     for name, once in zip(("a.csv", "a.csv.gz", "a.parquet"), whole, strict=True):
         again = Log.read(tmp_path / name)
         np.testing.assert_array_equal(again.z, once.z)
@@ -486,12 +490,24 @@ def test_log_of_too_many_rows_is_refused(
     run().write(path := tmp_path / name)
     monkeypatch.setattr(table, "MAX_ROWS", 100)
     monkeypatch.setattr(files, "_BLOCK_BYTES", 4000)
-    monkeypatch.setattr(files, "_BLOCK_ROWS", 30)
+    monkeypatch.setattr(parquet, "_BLOCK_ROWS", 30)
     message = refused(path)
     assert "has more than 100 rows, the most that a log may have. Read a piece" in message
     for rows, count in (("start_s = 12.0", 80), ("stop_s = 9.95", 100), ("step_s = 0.5", 40)):
         mapping = written(tmp_path / "m.toml", f"[rows]\n{rows}\n")
         assert len(Log.read(path, mapping)) == count
+
+
+def test_parquet_without_its_library_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log := run()).write(path := tmp_path / "a.parquet")
+    states = StateTable.of({"t_s": log.t, "x_m": log.t, "y_m": log.t})
+    monkeypatch.setitem(sys.modules, "polars", None)
+    acts = (partial(log.write, path), partial(Log.read, path), states.to_polars)
+    for act in (*acts, partial(states.write, path)):
+        with pytest.raises(UsvTwinError, match=r"pip install 'usv-twin\[parquet\]'"):
+            act()
 
 
 # --- the commands -----------------------------------------------------------------------------

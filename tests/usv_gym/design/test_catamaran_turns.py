@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 
 from usv_gym import Vessel
@@ -92,9 +91,9 @@ def recorded_rates(run: str) -> list[float]:
     path = BLUEBOAT_RUNS / f"blueboat_{run}.csv.gz"
     if not path.exists():
         pytest.skip(f"{path} is missing (set USV_TWIN_SHARED); it must not be redistributed")
-    log = pl.read_csv(path)
-    left, right = log["n_left_rps"].to_numpy(), log["n_right_rps"].to_numpy()
-    yaw_rate = np.degrees(log["gyro_radps"].to_numpy())
+    log = np.genfromtxt(path, delimiter=",", names=True)
+    left, right = log["n_left_rps"], log["n_right_rps"]
+    yaw_rate = np.degrees(log["gyro_radps"])
     rates = []
     for full, still in ((left, right), (right, left)):
         turns = np.diff(np.concatenate(([0], (full > 38.0) & (np.abs(still) < 5.0), [0])))

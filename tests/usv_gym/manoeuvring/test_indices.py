@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -301,10 +300,10 @@ def recorded(name: str) -> Track:
     path = KVLCC2 / f"{name}.csv.gz"
     if not path.exists():
         pytest.skip(f"{path} is missing (set USV_TWIN_SHARED); it must not be redistributed")
-    log = pl.read_csv(path)
+    log = np.genfromtxt(path, delimiter=",", names=True)
     columns = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
     columns |= {"r": "r_radps", "delta": "delta_rad"}
-    return Track(**{ours: log[theirs].to_numpy() for ours, theirs in columns.items()})
+    return Track(**{ours: log[theirs] for ours, theirs in columns.items()})
 
 
 def test_recorded_turn_has_published_indices() -> None:

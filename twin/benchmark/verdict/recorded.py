@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin.benchmark.figures.data import reference_of
 from twin.channels import PSI, R, U, V
 from twin.logs.datasets import known_ship
+from twin.logs.dates import Clock
 from twin.logs.files import CsvFile
 from twin.logs.log import Log
 from twin.predictors.baselines import hold_velocity
@@ -98,14 +99,12 @@ class RecordedPersistence:
 
 def _velocities_of_file(path: str) -> list[tuple[Array, Array]]:
     """Return times and values of the body velocities in a file of an archive, if it has them."""
-    import polars as pl
-
     names = ("t_s", *VELOCITIES)
     # elsewhere a mapping may have given these names another meaning
-    if known_ship(path) is None or not set(names) <= set(CsvFile(Path(path)).header):
+    if known_ship(path) is None or not set(names) <= set((file := CsvFile(Path(path))).header):
         return []
-    frame = pl.read_csv(path, columns=list(names), infer_schema_length=None)
-    columns = [frame[name].cast(pl.Float64).to_numpy() for name in names]
+    blocks = [columns for _, columns, _ in file.blocks(names, Clock(""))]
+    columns = [np.concatenate([block[name] for block in blocks]) for name in names]
     kept = [np.isfinite(columns[0]) & np.isfinite(column) for column in columns[1:]]
     return [(columns[0][there], columns[k][there]) for k, there in enumerate(kept, 1)]
 

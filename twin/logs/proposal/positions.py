@@ -11,7 +11,7 @@ from twin.channels import MEASUREMENTS
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
-from twin.logs.files import EMPTY, is_number
+from twin.logs.files import number_of
 from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
 from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, known, pick, put
@@ -50,13 +50,10 @@ def _ask_texts(columns: Columns, found: Proposal) -> None:
             means(name, NAMES[meaning]) for meaning in ("latitude", "longitude")
         ):
             continue
-        for cell in columns.text[name].drop_nulls():
-            if cell.strip() not in ("", *EMPTY) and not is_number(cell):
-                side = "south" if means(name, NAMES["latitude"]) else "west"
-                found.questions.append(
-                    f"{name}: {cell!r} is no number; write degrees, {side} below 0"
-                )
-                break
+        cell = next((cell for cell in columns.text[name] if number_of(cell) is None), None)
+        if cell is not None:
+            side = "south" if means(name, NAMES["latitude"]) else "west"
+            found.questions.append(f"{name}: {cell!r} is no number; write degrees, {side} below 0")
 
 
 def place_degrees(

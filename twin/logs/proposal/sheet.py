@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import gzip
-import io
 import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.logs.columns import Array
+from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
-from twin.logs.files import (
-    EMPTY,
-    CsvFile,
-    ParquetFile,
-    ragged_line,
-    twice_said,
-    units_line,
-    with_points,
-)
+from twin.logs.files import number_of, twice_said, units_line
+from twin.logs.parquet import column_file
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
-
-if TYPE_CHECKING:
-    import polars as pl
 
 __all__ = [
     "Columns",
@@ -41,15 +28,15 @@ __all__ = [
     "read_columns",
 ]
 
-_ROWS, _LOOK = 200_000, 1000
-"""Rows that are looked at, and those whose cells are counted."""
+_ROWS = 200_000
+"""Rows that are looked at."""
 
 
 @dataclass
 class Columns:
     """Cells of a file: as text, and as numbers where they are numbers."""
 
-    text: pl.DataFrame
+    text: dict[str, list[str]]
     numbers: dict[str, Array]
     left: list[str]
     twice: dict[str, str] = field(default_factory=dict)  # names that stand twice: the complaint
@@ -62,67 +49,24 @@ class Columns:
         return name
 
 
-def _text_of(file: ParquetFile) -> pl.DataFrame:
-    """Return the first rows of a file as text, without columns of lists."""
-    import polars as pl
-
-    parts: list[pl.DataFrame] = []
-    for frame in file.frames(file.header, _ROWS):
-        plain = [name for name, kind in frame.schema.items() if not kind.is_nested()]
-        parts.append(frame.select(pl.col(plain).cast(pl.String)))
-        if sum(part.height for part in parts) >= _ROWS:
-            break
-    return pl.concat(parts).head(_ROWS)
-
-
 def read_columns(path: Path) -> Columns:
     """Return the cells of the first rows of a file."""
-    import polars as pl
-
-    twice: dict[str, str] = {}
-    if path.suffix == ".parquet":
-        frame = _text_of(ParquetFile(path))
-    else:
-        file = CsvFile(path)
-        with gzip.open(path, "rb") if file.packed else path.open("rb") as raw:
-            for _ in range(file.blank):
-                raw.readline()
-            lines = [raw.readline() for _ in range(_ROWS)]
-        # a surplus comma would shift the cells: of "Fri, 05 Apr", or of seconds with a comma
-        ragged = ragged_line(b"".join(lines[1:_LOOK]), file.blank + 2, len(file.header), file.mark)
-        if ragged:
-            raise LogError(f"{path}: {ragged}, or put cells that hold a comma in quotes")
-        try:
-            frame = pl.read_csv(
-                io.BytesIO(b"".join(lines)),
-                infer_schema=False,
-                separator=file.mark,
-                encoding="utf8-lossy",
-                truncate_ragged_lines=True,
-            )
-            frame = frame if file.mark == "," else with_points(frame)
-        except pl.exceptions.PolarsError as error:
-            raise LogError(f"{path}: {str(error).splitlines()[0]}") from None
-        first = [j for j, name in enumerate(file.header) if name not in file.header[:j]]
-        frame = frame[:, first]
-        frame.columns = [file.header[j] for j in first]
-        twice = {
-            name: twice_said(path, name, f"line {file.blank + 1}")
-            for name in set(file.header)
-            if file.header.count(name) > 1
-        }
+    file = column_file(path)
+    text = file.texts(_ROWS)
+    twice = {
+        name: twice_said(path, name, file.head)
+        for name in set(file.header)
+        if file.header.count(name) > 1
+    }
     numbers = {}
-    for name in frame.columns:
-        cells = frame[name].str.strip_chars()
-        cells = cells.set(cells.is_in(EMPTY), None)
-        values = cells.cast(pl.Float64, strict=False)
-        filled = int((cells.is_not_null() & (cells != "")).sum())
-        if filled and values.is_not_null().sum() > 9 * filled // 10:
-            numbers[name] = values.to_numpy().astype(np.float64, copy=False)
-    if len(numbers) > 1 and (units := units_line({name: frame[name] for name in frame.columns})):
-        place = "row 1" if path.suffix == ".parquet" else f"line {file.blank + 2}"
-        raise LogError(f"{path}: {place} {units}")
-    return Columns(frame, numbers, list(frame.columns), twice)
+    for name, cells in text.items():
+        filled = sum(cell.strip() not in EMPTY for cell in cells)
+        values = np.array([number_of(cell) for cell in cells], dtype=np.float64)
+        if filled and np.isfinite(values).sum() > 9 * filled // 10:
+            numbers[name] = values
+    if len(numbers) > 1 and (units := units_line(text)):
+        raise LogError(f"{path}: {file.unit} {file.first} {units}")
+    return Columns(text, numbers, list(text), twice)
 
 
 def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:

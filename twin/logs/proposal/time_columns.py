@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,10 +23,9 @@ from twin.logs.dates import (
 )
 from twin.logs.proposal.header_words import NAMES, means, unit_of
 
-if TYPE_CHECKING:
-    import polars as pl
-
 __all__ = ["TimeColumns", "find_time"]
+
+Cells = Mapping[str, Sequence[str]]
 
 _DAY = 86400.0
 
@@ -67,14 +65,14 @@ class TimeColumns:
 
 
 def find_time(
-    text: pl.DataFrame, numbers: dict[str, Array], left: Sequence[str], answers: tuple[str, str]
+    text: Cells, numbers: dict[str, Array], left: Sequence[str], answers: tuple[str, str]
 ) -> TimeColumns:
     """Return the time of a log.
 
     Parameters
     ----------
-    text : DataFrame
-        Its cells.
+    text : dict of str to list of str
+        Its cells, by column.
     numbers : dict of str to ndarray
         The columns whose cells are numbers.
     left : sequence of str
@@ -85,17 +83,16 @@ def find_time(
     found = TimeColumns()
     named = [name for name in left if means(name, NAMES["time"])]
     for names in _clocks(text, numbers, left, named):
-        cells = text[names[-1]].str.strip_chars()
+        cells = [cell.strip() for cell in text[names[-1]]]
         if names[-1] in numbers:
-            cells = padded(cells)
+            cells = [padded(cell) for cell in cells]
         if len(names) == 2:
             cells = joined(text[names[0]], cells)
-        formats = date_formats(cells.drop_nulls().to_list())
+        formats = date_formats(cells)
         if formats:
             return _dated(found, names, cells, formats, answers)
     for name in named:
-        if name not in numbers and text[name].drop_nulls().len():
-            cell = str(text[name].drop_nulls()[0])
+        if name not in numbers and (cell := _first(text, name)):
             found.questions.append(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
                 'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
@@ -104,7 +101,7 @@ def find_time(
 
 
 def _clocks(
-    text: pl.DataFrame, numbers: dict[str, Array], left: Sequence[str], named: Sequence[str]
+    text: Cells, numbers: dict[str, Array], left: Sequence[str], named: Sequence[str]
 ) -> list[tuple[str, ...]]:
     """Return columns that may hold date and time, the likeliest first."""
     first = {name: _first(text, name) for name in left}
@@ -122,10 +119,9 @@ def _clocks(
     return [*((name,) for name in whole), *pairs, *((name,) for name in times)]
 
 
-def _first(text: pl.DataFrame, name: str) -> str:
-    cells = text[name].str.strip_chars().drop_nulls()
-    cells = cells.filter(cells != "")
-    return str(cells[0]) if len(cells) else ""
+def _first(text: Cells, name: str) -> str:
+    """Return the first cell of a column that is not empty."""
+    return next((stripped for cell in text[name] if (stripped := cell.strip())), "")
 
 
 def _is_hhmmss(values: Array) -> bool:
@@ -144,13 +140,13 @@ def _is_hhmmss(values: Array) -> bool:
 def _dated(
     found: TimeColumns,
     names: tuple[str, ...],
-    cells: pl.Series,
+    cells: Sequence[str],
     formats: list[DateFormat],
     answers: tuple[str, str],
 ) -> TimeColumns:
     """Return the time of cells whose formats are known."""
     order, zone = answers
-    example = cells.drop_nulls()[0]
+    example = next(cell for cell in cells if cell.strip())
     title = " and ".join(names)
     if len(formats) > 1:
         chosen = [each for each in formats if each.order == order]
@@ -178,7 +174,7 @@ def _dated(
     elif not re.search(r"%#?z|UTC$|GMT$", form) and "%d" in (form or "%d"):
         stated = not form and re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", example)
         found.why = "" if stated else "dates without a zone count as UTC"
-    found.seconds = dates(cells, form).to_numpy().astype(np.float64, copy=False)
+    found.seconds = dates(cells, form)
     return found
 
 
