@@ -55,7 +55,7 @@ from twin.integrity.state import (
 from twin.integrity.wind import check_wind
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_sensors"]
+__all__ = ["check_sensors", "write_restart"]
 
 NO_VELOCITY, NO_COMPASS, NO_GYRO, NO_ACCELEROMETERS = 2, 4, 5, 6
 """Filters of the bank that leave one of these out."""
@@ -180,17 +180,16 @@ def _aid_bank(memory, has_gps, given):
     bank.samples[PUSH], bank.interval[PUSH] = 1.0, span
 
 
-@inlined
-def _write_restart(memory, has_gps, given):
-    """Write where the filter in force is, for the navigation to begin again from.
+@kernel
+def write_restart(memory, given, restart):
+    """Write where the filter in force is to ``RESTART``, for the navigation to begin again from.
 
     Without GPS a filter without a ship's model knows no better where the boat is: only the heading
     and, without accelerometers, the surge by the commands begin again.
     """
-    bank = memory.bank
+    bank, has_gps = memory.bank, memory.switched == SWITCHED_WITH_GPS
     k = int(bank.force_filter)
     one = bank.filters[k]
-    restart = memory.restart
     x, P, state, cov = one.x, one.P, restart.state, restart.cov
     c, s = math.cos(x[PSI]), math.sin(x[PSI])
     gyro = bank.rate - x[G]
@@ -240,6 +239,9 @@ def _write_restart(memory, has_gps, given):
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
+SWITCHED, SWITCHED_WITH_GPS = 1.0, 2.0
+"""Another filter has come into force, without and with a GPS before."""
+
 KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
@@ -285,10 +287,9 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
         drives = memory.drives
         switched = decide(bank, memory.decision, drives.yaw_witness, given.bank)
         if switched:
-            memory.switched = 1.0
+            memory.switched = SWITCHED_WITH_GPS if has_gps else SWITCHED
             # the motion begins again: a step of the commands that spans it would be wrong
             drives.known = 0.0
-            _write_restart(memory, has_gps, given)
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
         if LEFT_OUT[force, part] > 0.0:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.filters.navigation_state import RESTART, sample_limits
+from twin.filters.navigation_state import sample_limits
 from twin.integrity.bank import BANK, BANK_SETTINGS, LEVEL_START, bank_settings
 from twin.integrity.commands import DRIVES, DRIVES_SETTINGS, drives_settings, initial_drives
 from twin.integrity.decision import DECISION
@@ -103,8 +103,7 @@ INTEGRITY = np.dtype(
         ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad
-        ("switched", "f8"),  # 1 in a row after which another filter is in force
-        ("restart", RESTART),  # where the navigation begins again then
+        ("switched", "f8"),  # 1 in a row after which another filter is in force, 2: it had GPS
         ("wind", WIND_CHECK),
         ("z", "f8", 8),  # scratch: samples of the row that may be used
     ]
