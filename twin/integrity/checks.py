@@ -26,6 +26,7 @@ from twin.integrity.bank import (
 )
 from twin.integrity.commands import (
     LEFT_DEAD,
+    PUSH_LEARNED_S,
     RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
@@ -168,7 +169,8 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
-    bank.modelled = 1.0 if sound and not has_gps and most_evidence(drives) < SUSPECT else 0.0
+    sound = sound and most_evidence(drives) < SUSPECT and drives.learned >= PUSH_LEARNED_S
+    bank.modelled = 1.0 if sound and not has_gps else 0.0
     if drives.said == 0.0:
         return
     drives.said = 0.0

@@ -85,6 +85,9 @@ longer ones drag answers."""
 STEP_MIN_S = 0.9
 """A step is no shorter."""
 
+PUSH_LEARNED_S = 30.0
+"""Accelerometers are held against the commands once it was learned for so long how they differ."""
+
 WARM_UP_STEPS = 35.0
 """Nothing is concluded before."""
 
@@ -169,6 +172,7 @@ DRIVES = np.dtype(
         ("excess", "f8", 2),  # what the accelerometers measured more
         ("length", "f8"),  # how long it was, s
         ("said", "f8"),  # 1 where these are new
+        ("learned", "f8"),  # time over which offset and variance were learned, s
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
         ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
@@ -426,6 +430,7 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
         excess = changes[1 + axis] - drives.push[axis]
         drives.excess[axis] = excess
         if has_gps:
+            drives.learned += 0.5 * span
             drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
     drives.length, drives.said = span, 1.0
