@@ -74,7 +74,6 @@ from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combin
 
 __all__ = [
     "aid",
-    "ask_to_begin_again",
     "is_learning_suspended",
     "is_ready",
     "lacks_gps",
@@ -234,17 +233,18 @@ def aid(nav, work, entry, value, variance):
 @inlined
 def _is_contaminated(nav, i):
     """Return whether entry i of the state differs from where it may begin again."""
-    error = nav.restart_state[i] - nav.n[i]
+    error = nav.restart.state[i] - nav.n[i]
     if i == PSI:
         error = wrap(error)
-    return error * error > CONTAMINATED**2 * (nav.restart_cov[i, i] + VARIANCE_MIN)
+    return error * error > CONTAMINATED**2 * (nav.restart.cov[i, i] + VARIANCE_MIN)
 
 
 @inlined
 def _begin_again(nav, settings):
     """Begin again where a sensor that is left out now has led the state astray."""
-    n, P, state, cov = nav.n, nav.P, nav.restart_state, nav.restart_cov
-    whole, heading, surge = nav.restart[0] > 0.0, nav.restart[1] > 0.0, nav.restart[2] > 0.0
+    n, P, restart = nav.n, nav.P, nav.restart
+    state, cov = restart.state, restart.cov
+    whole, heading, surge = restart.position > 0.0, restart.heading > 0.0, restart.surge > 0.0
     if not (whole or heading or surge):
         return
     first, last = 0, 6
@@ -275,19 +275,7 @@ def _begin_again(nav, settings):
         for k in range(nav.refused.shape[0]):
             nav.refused[k] = 0.0
         nav.restarted = 1.0
-    for k in range(3):
-        nav.restart[k] = 0.0
-
-
-@inlined
-def ask_to_begin_again(restart, nav):
-    """Let a navigation begin again where a record ``RESTART`` says, after the next row."""
-    nav.restart[0], nav.restart[1] = restart.position, restart.heading
-    nav.restart[2] = restart.surge
-    for i in range(6):
-        nav.restart_state[i] = restart.state[i]
-        for k in range(6):
-            nav.restart_cov[i, k] = restart.cov[i, k]
+    restart.position = restart.heading = restart.surge = 0.0
 
 
 @inlined

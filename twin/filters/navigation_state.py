@@ -106,9 +106,7 @@ NAVIGATION = np.dtype(
         ("trial", "f8", 6),
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("motion_doubted", "f8"),  # 1 while sensors of the motion are at fault and left out
-        ("restart", "f8", 3),  # 1 where state, heading, or surge begin again after this row ...
-        ("restart_state", "f8", len(STATE)),  # ... with this ...
-        ("restart_cov", "f8", (len(STATE), len(STATE))),  # ... and this covariance
+        ("restart", RESTART),  # where it begins again after this row, if it does
         ("restarted", "f8"),  # 1 in the row in which it did
     ]
 )

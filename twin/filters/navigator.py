@@ -39,12 +39,6 @@ def _take_row(nav, dt, z, model, settings, work):
     )
 
 
-def ask(nav: Any, restart: Any) -> None:
-    """Let a navigation begin again where a record ``RESTART`` says, after the next row."""
-    nav["restart"] = restart["position"], restart["heading"], restart["surge"]
-    nav["restart_state"], nav["restart_cov"] = restart["state"], restart["cov"]
-
-
 class Navigator:
     """The filter with its arrays, for predictors without a model.
 
@@ -98,7 +92,7 @@ class Navigator:
 
     def begin_again(self, restart: Any) -> None:
         """Begin again in the next row; see ``twin.predictors.base.Predictor``."""
-        ask(self.memory.view(NAVIGATION)[0], restart)
+        self.memory.view(NAVIGATION)[0]["restart"] = restart
 
     @property
     def ready(self) -> bool:

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.particulars import GRAVITY, Particulars
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
@@ -42,12 +43,12 @@ __all__ = [
     "BANK",
     "BANK_SETTINGS",
     "FILTERS",
-    "FRESH",
     "LEFT_OUT",
     "LEVEL_START",
     "advance_bank",
     "aid_ratio",
     "bank_settings",
+    "begin_at_fix",
     "convert",
     "forget_tests",
 ]
@@ -57,8 +58,13 @@ Array = NDArray[np.float64]
 FIXES, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 """What a filter may leave out."""
 
-AIDS = 3
+SENSED = 3
 """The first three of these correct a filter; the others drive it."""
+
+PUSH = SENSED
+"""Accelerations as the commands make them, which correct it where no GPS does."""
+
+AIDS = 4
 
 LEFT_OUT = np.array(
     [
@@ -69,13 +75,11 @@ LEFT_OUT = np.array(
         [0.0, 0.0, 1.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 1.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, 1.0, 1.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0],
     ]
 )
-"""What each filter leaves out: nothing, one sensor, or one device. The last begins afresh."""
+"""What each filter leaves out: nothing, one sensor, or the GPS."""
 
-FILTERS, FRESH = len(LEFT_OUT), len(LEFT_OUT) - 1
+FILTERS = len(LEFT_OUT)
 
 STATES = 8
 PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
@@ -84,7 +88,7 @@ PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
 EPOCH_S = 0.2
 """Samples within this time are taken together."""
 
-WINDOWS_S = np.array([0.6, 4.0, 20.0])
+WINDOWS_S = np.array([1.0, 12.0])
 """Windows of the test."""
 
 WINDOWS = len(WINDOWS_S)
@@ -101,14 +105,11 @@ INNOVATION_MAX = 6.0
 SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
 
-MISFIT_S = 6.0
-"""Time constant of the likelihood by which filters are compared."""
+LEARN_S = 60.0
+"""Time constant with which levels, and the motion of the boat, are learned ..."""
 
-IMU_SILENT_S = 1.0
-"""Gyro or accelerometers without samples for so long drive no filter."""
-
-MOTION_TIME_S = 60.0
-"""Time constant with which it is learned how fast accelerations and yaw rates change."""
+LEARN_FIRST_S = 10.0
+"""... and that of levels at the start."""
 
 ROW_SHARE = 0.05
 """Share of a new interval between rows in the typical one."""
@@ -122,17 +123,11 @@ STEP_MAX_S = 1.0
 STEPS_MAX = 30
 """Most steps of a prediction: a gap that is longer is predicted through coarsely."""
 
-LEVEL_MAX = 6.0
+LEVEL_MAX = 4.0
 """Largest level: beyond, a sensor is at fault."""
 
 LEVEL_START = 4.0
 """Level at the start: how good the sensors are is not known yet."""
-
-LEVEL_TIME_S = 120.0
-"""Time constant with which levels are learned ..."""
-
-LEVEL_FIRST_S = 10.0
-"""... and that at the start."""
 
 TIMING_S = 0.1
 """Standard deviation of a sensor's undeclared delay."""
@@ -144,12 +139,8 @@ FILTER = np.dtype(
         ("uses_gyro", "f8"),  # 1 where the gyro drives it, else 0
         ("uses_accelerometers", "f8"),  # 1 where the accelerometers do
         ("mean", "f8", (AIDS, WINDOWS, 2)),  # weighted means of the whitened innovations
-        ("weight", "f8", (AIDS, WINDOWS)),  # sums of the squared weights
         ("seen", "f8", AIDS),  # time that the windows have seen, s
-        # variance of these means over that of white innovations, learned while all is sound
-        ("level", "f8", (AIDS, WINDOWS)),
-        ("square", "f8", AIDS),  # mean of their squares over the shortest window
-        ("misfit", "f8", AIDS),  # leaky sums of -2 log-likelihood of the samples, with MISFIT_S
+        ("misfit", "f8", AIDS),  # -2 log-likelihood of the samples since the failure began
         ("ratio", "f8"),  # largest statistic over its threshold; below 1 the filter passes
         ("since", "f8"),  # clock at which it began from another filter, s
     ]
@@ -167,14 +158,22 @@ BANK = np.dtype(
         ("force", "f8", 3),  # integrals of the specific forces (m/s), and their time (s)
         ("samples", "f8", AIDS),  # number of samples
         ("sum", "f8", 5),  # of x, y, v_x, v_y, heading
-        ("age_sum", "f8", AIDS),  # of the ages at the end of the epoch, s
-        ("age", "f8", AIDS),  # time since the last sample, s
+        ("age_sum", "f8", SENSED),  # of the ages at the end of the epoch, s
+        ("age", "f8", SENSED),  # time since the last sample, s
         ("interval", "f8", AIDS),  # typical time between samples, s
+        # accelerations that the commands make, what these were less than the measured specific
+        # forces (m/s2), and the variances of that
+        ("push", "f8", 2),
+        ("excess", "f8", 2),
+        ("push_var", "f8", 2),
+        ("modelled", "f8"),  # 1 while this is used, as no GPS is
+        # variance of mean innovations over that of white ones, learned while all is sound
+        ("level", "f8", (AIDS, WINDOWS)),
         ("imu_age", "f8", 2),  # of gyro, accelerometers, s
         ("row", "f8"),  # typical time between rows, s
         ("rate", "f8"),  # last yaw rate of the gyro, rad/s
         ("heading", "f8"),  # first heading of the epoch, rad
-        ("start", "f8", 5),  # first fix, velocity and heading
+        ("last", "f8", 5),  # last fix, velocity and heading; NaN before the first
         ("force_filter", "f8"),  # the filter in force
         ("fastest", "f8"),  # largest speed that the boat has sailed, m/s
         ("acceleration", "f8"),  # mean square of a specific force, (m/s2)2
@@ -354,12 +353,18 @@ def predict(one, T, bank, given):
 
 
 @inlined
-def _innovation(one, aid, k, z, age, rate, acceleration, given, gain):
+def _innovation(one, aid, k, bank, age, rate, acceleration, given, gain):
     """Return number k of an aid less what a filter expects ``age`` s ago, and h P h'.
 
     P h' is written to ``gain`` (8,). The row h has entries of position, velocity, heading and rate.
     """
-    x, P = one.x, one.P
+    x, P, z = one.x, one.P, bank.sum
+    if aid == PUSH:
+        # a bias where the accelerometers are used, else what they would measure
+        at, said = A1 + k, bank.excess[k] if one.uses_accelerometers > 0.0 else bank.push[k]
+        for i in range(STATES):
+            gain[i] = P[i, at]
+        return said - x[at], P[at, at]
     if aid == COMPASS:
         on_rate = 0.0 if one.uses_gyro > 0.0 else -age
         nu = wrap(z[4] - (x[PSI] - age * rate))
@@ -397,16 +402,22 @@ def _correct(one, gain, innovation, S):
             P[i, j] -= share * gain[j]
 
 
+@inlined
+def _numbers(aid):
+    """Return how many numbers an aid has."""
+    return 1 if aid == COMPASS else 2
+
+
 @kernel
-def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
-    """Test and correct a filter by the samples of an aid that it uses."""
-    numbers = 1 if aid == COMPASS else 2
+def _take(one, aid, bank, age, variance, span, rate, north, east, given):
+    """Test and correct a filter by an aid."""
+    numbers, level, gain = _numbers(aid), bank.level[aid, 0], alloca_f64(STATES)
     w0 = w1 = logarithm = 0.0
     for k in range(numbers):
-        acceleration = north if k == 0 else east
-        nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
-        S = (spread + variance) * one.level[aid, 0]
-        logarithm += math.log(S / variance)
+        acceleration, R = north if k == 0 else east, variance[k]
+        nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
+        S = (spread + R) * level
+        logarithm += math.log(S / R)
         if k == 0:
             w0 = nu / math.sqrt(S)
         else:
@@ -419,32 +430,36 @@ def _take(one, aid, z, age, variance, span, rate, north, east, given, gain):
         alpha = min(max(span / WINDOWS_S[i], span / one.seen[aid]), 1.0)
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
-        one.weight[aid, i] += alpha * (alpha - (2.0 - alpha) * one.weight[aid, i])
     clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
-    alpha = min(max(span / WINDOWS_S[0], span / one.seen[aid]), 1.0)
-    one.square[aid] += alpha * (clipped / numbers - one.square[aid])
-    one.misfit[aid] = one.misfit[aid] * math.exp(-span / MISFIT_S) + clipped + logarithm
-    if size <= INNOVATION_MAX:
+    one.misfit[aid] += clipped + logarithm
+    if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled > 0.0):
         for k in range(numbers):
             acceleration = north if k == 0 else east
-            nu, spread = _innovation(one, aid, k, z, age, rate, acceleration, given, gain)
-            _correct(one, gain, nu, spread + variance)
+            nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
+            _correct(one, gain, nu, spread + variance[k])
 
 
 @inlined
-def _learn_level(one, aid, span, clock):
+def _samples(one, aid, window, bank):
+    """Return how many white innovations a mean over a window is worth."""
+    span = max(bank.interval[aid], EPOCH_S)
+    return max(min(one.seen[aid] / span, 2.0 * WINDOWS_S[window] / span - 1.0), 1.0)
+
+
+@inlined
+def _learn_level(one, aid, span, bank):
     """Learn how much more the means vary than those of white innovations would."""
-    numbers = 1.0 if aid == COMPASS else 2.0
+    numbers, level = float(_numbers(aid)), bank.level
+    share = min(span / min(max(bank.clock, LEARN_FIRST_S), LEARN_S), 0.1)
+    first = level[aid, 0]
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
-        square = (m0 * m0 + m1 * m1) / one.weight[aid, i] / numbers * one.level[aid, 0]
-        share = min(span / min(max(clock, LEVEL_FIRST_S), LEVEL_TIME_S), 0.1)
-        level = one.level[aid, i] + share * (square - one.level[aid, i])
-        one.level[aid, i] = min(max(level, 1.0), LEVEL_MAX)
+        square = (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / numbers * first
+        level[aid, i] = min(max(level[aid, i] + share * (square - level[aid, i]), 1.0), LEVEL_MAX)
 
 
 @inlined
-def aid_ratio(one, aid):
+def aid_ratio(one, aid, bank):
     """Return the largest statistic of an aid over its threshold."""
     if one.seen[aid] == 0.0:
         return 0.0
@@ -452,23 +467,21 @@ def aid_ratio(one, aid):
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
         # the first level is that of the innovations themselves
-        level = one.level[aid, i] / one.level[aid, 0] if i > 0 else 1.0
-        most = max(most, (m0 * m0 + m1 * m1) / (one.weight[aid, i] * level))
-    # the mean square over the shortest window, by Wilson and Hilferty's cube root
-    share = 2.0 / (9.0 * (1.0 if aid == COMPASS else 2.0) / one.weight[aid, 0])
-    z = (one.square[aid] ** (1.0 / 3.0) - 1.0 + share) / math.sqrt(share)
-    if z > 0.0:
-        most = max(most, z * z)
+        level = bank.level[aid, i] / bank.level[aid, 0]
+        most = max(most, (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / level)
     return most / THRESHOLD
 
 
 @kernel
-def test_ratio(one, k, age):
+def test_ratio(k, bank):
     """Return the largest statistic of filter k over its threshold."""
     most = 0.0
     for aid in range(AIDS):
-        if LEFT_OUT[k, aid] == 0.0 and age[aid] <= SILENT_S:
-            most = max(most, aid_ratio(one, aid))
+        tested = bank.modelled > 0.0
+        if aid < SENSED:
+            tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
+        if tested:
+            most = max(most, aid_ratio(bank.filters[k], aid, bank))
     return most
 
 
@@ -476,10 +489,31 @@ def test_ratio(one, k, age):
 def forget_tests(one):
     """Begin the tests of a filter anew."""
     one.mean[:] = 0.0
-    one.weight[:] = 0.0
     one.seen[:] = 0.0
-    one.square[:] = 0.0
     one.ratio = 0.0
+
+
+@inlined
+def _keep_last(bank, aid, z):
+    """Keep the sample of a sensor, if there is one; return whether there is."""
+    first, end = 2 * aid, min(2 * aid + 2, COMPASS * 2 + 1)
+    for j in range(first, end):
+        if math.isnan(z[j]):
+            return False
+    for j in range(first, end):
+        bank.last[j] = z[j]
+    return True
+
+
+@kernel
+def begin_at_fix(one, bank, given):
+    """Let position and velocity of a filter begin with the last ones of the GPS."""
+    for i in range(PN, VE + 1):
+        for j in range(STATES):
+            one.P[i, j] = one.P[j, i] = 0.0
+        one.x[i] = 0.0 if math.isnan(bank.last[i]) else bank.last[i]
+    one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
+    one.P[VN, VN] = one.P[VE, VE] = given.speed_var
 
 
 @inlined
@@ -491,7 +525,7 @@ def _gather(dt, z, bank, given):
         bank.row = dt
     bank.row += ROW_SHARE * (min(dt, ROWS_MISSING * bank.row) - bank.row)
     covered = min(dt, ROWS_MISSING * bank.row)
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         bank.age[aid] += dt
         bank.age_sum[aid] += dt * bank.samples[aid]
     for k in range(2):
@@ -508,9 +542,9 @@ def _gather(dt, z, bank, given):
         bank.force[1] += covered * z[7]
         bank.force[2] += covered
         bank.imu_age[1] = 0.0
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         first = 2 * aid
-        if math.isnan(z[first]) or (aid < COMPASS and math.isnan(z[first + 1])):
+        if not _keep_last(bank, aid, z):
             continue
         passed = bank.age[aid]
         bank.age[aid] = 0.0
@@ -533,38 +567,26 @@ def _gather(dt, z, bank, given):
 @kernel
 def begin_bank(bank, z, given):
     """Begin all filters with the first fix and heading."""
-    if not (math.isnan(z[0]) or math.isnan(z[1])):
-        bank.start[0], bank.start[1], bank.start[2], bank.start[3] = z[0], z[1], 0.0, 0.0
-        if not (math.isnan(z[2]) or math.isnan(z[3])):
-            bank.start[2], bank.start[3] = z[2], z[3]
-    if not math.isnan(z[4]):
-        bank.start[4] = z[4]
-    if math.isnan(bank.start[0]) or math.isnan(bank.start[4]):
+    for aid in range(SENSED):
+        _keep_last(bank, aid, z)
+    if math.isnan(bank.last[0]) or math.isnan(bank.last[4]):
         return
     bank.begun = 1.0
     for k in range(FILTERS):
         one = bank.filters[k]
         one.x[:], one.P[:, :] = 0.0, 0.0
-        one.x[PN], one.x[PE], one.x[PSI] = bank.start[0], bank.start[1], bank.start[4]
-        one.x[VN], one.x[VE] = bank.start[2], bank.start[3]
-        _begin_variances(one, given)
+        one.x[PSI] = bank.last[4]
+        one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
+        begin_at_fix(one, bank, given)
         one.uses_gyro = one.uses_accelerometers = -1.0
         one.since = bank.clock
         forget_tests(one)
 
 
 @inlined
-def _begin_variances(one, given):
-    """Write the variances of a filter that begins with a fix and a heading."""
-    one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
-    one.P[VN, VN] = one.P[VE, VE] = given.speed_var
-    one.P[PSI, PSI] = given.compass_var + given.compass_bias_var
-
-
-@inlined
 def _end_sums(bank):
     """Turn the sums of the epoch into means."""
-    for aid in range(AIDS):
+    for aid in range(SENSED):
         n = bank.samples[aid]
         if n > 0.0:
             bank.age_sum[aid] /= n
@@ -592,11 +614,11 @@ def _cover_gap(one, row, bank, given):
 
 
 @kernel
-def _advance_filter(k, bank, given, sound, gain):
+def _advance_filter(k, bank, given, sound):
     """Predict filter k over the epoch, test it, and correct it."""
     one, T, row = bank.filters[k], bank.span, bank.row
-    gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < IMU_SILENT_S
-    driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < IMU_SILENT_S
+    gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < SILENT_S
+    driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < SILENT_S
     convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
     steps, north, east = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX), 0.0, 0.0
     for _ in range(steps):
@@ -607,24 +629,29 @@ def _advance_filter(k, bank, given, sound, gain):
     late = TIMING_S * TIMING_S + row * row / 12.0
     for aid in range(AIDS):
         n = bank.samples[aid]
-        if n == 0.0 or LEFT_OUT[k, aid] > 0.0:
+        if n == 0.0 or (aid < SENSED and LEFT_OUT[k, aid] > 0.0):
             continue
-        variance = given.compass_var / n + late * rate * rate
         if aid == FIXES:
-            variance = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
+            R = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
         elif aid == VELOCITY:
-            variance = given.velocity_var / n + 0.5 * late * (north * north + east * east)
-        span, age = max(bank.interval[aid], T), bank.age_sum[aid]
-        _take(one, aid, bank.sum, age, variance, span, rate, north, east, given, gain)
-        if sound:
-            _learn_level(one, aid, span, bank.clock)
-    one.ratio = test_ratio(one, k, bank.age)
+            R = given.velocity_var / n + 0.5 * late * (north * north + east * east)
+        else:
+            R = given.compass_var / n + late * rate * rate
+        variance = (R, R)
+        if aid == PUSH:
+            variance = (bank.push_var[0], bank.push_var[1])
+        span = max(bank.interval[aid], T)
+        age = bank.age_sum[aid] if aid < SENSED else 0.0
+        _take(one, aid, bank, age, variance, span, rate, north, east, given)
+        if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
+            _learn_level(one, aid, span, bank)
+    one.ratio = test_ratio(k, bank)
 
 
 @inlined
 def _learn_motion(bank):
     """Learn how large accelerations are, and how fast they and the yaw rate change."""
-    T, share = bank.span, min(bank.span / MOTION_TIME_S, 0.1)
+    T, share = bank.span, min(bank.span / LEARN_S, 0.1)
     has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
     forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
     sound = bank.filters[0]
@@ -646,7 +673,7 @@ def _learn_motion(bank):
 
 
 @kernel
-def advance_bank(dt, z, bank, given, work):
+def advance_bank(dt, z, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
     z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
@@ -659,14 +686,18 @@ def advance_bank(dt, z, bank, given, work):
     if bank.span < EPOCH_S - 1e-6:
         return False
     _end_sums(bank)
+    biased = bank.filters[0].uses_accelerometers > 0.0
+    for i in range(2):
+        bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
     sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
-    # the fresh filter is asked for only where a GPS is left out
-    for k in range(FILTERS if 0.0 < bank.force_filter <= VELOCITY + 2.0 else FRESH):
-        _advance_filter(k, bank, given, sound, work)
+    for k in range(FILTERS):
+        _advance_filter(k, bank, given, sound)
     _learn_motion(bank)
     bank.span = bank.gyro[0] = bank.gyro[1] = 0.0
     for j in range(5):
         bank.sum[j] = 0.0
     for j in range(3):
-        bank.samples[j] = bank.age_sum[j] = bank.force[j] = 0.0
+        bank.age_sum[j] = bank.force[j] = 0.0
+    for aid in range(AIDS):
+        bank.samples[aid] = 0.0
     return True

@@ -13,9 +13,10 @@ import math
 from twin.integrity.bank import (
     A1,
     A2,
-    AIDS,
     LEFT_OUT,
     PSI,
+    PUSH,
+    SENSED,
     SILENT_S,
     VE,
     VN,
@@ -25,8 +26,11 @@ from twin.integrity.bank import (
 )
 from twin.integrity.commands import (
     LEFT_DEAD,
+    PUSH_LEARNED_S,
+    RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
+    SUSPECT,
     WARM_UP_STEPS,
     most_evidence,
     watch_commands,
@@ -52,9 +56,9 @@ from twin.integrity.state import (
 from twin.integrity.wind import check_wind
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_sensors"]
+__all__ = ["check_sensors", "write_restart"]
 
-NO_GYRO, NO_ACCELEROMETERS, NO_VELOCITY = 5, 6, 2
+NO_VELOCITY, NO_COMPASS, NO_GYRO, NO_ACCELEROMETERS = 2, 4, 5, 6
 """Filters of the bank that leave one of these out."""
 
 
@@ -86,7 +90,7 @@ def _all_statuses(memory):
 def _may_be_at_fault(bank, sensor):
     """Return whether a filter passes that leaves a sensor out."""
     found = False
-    for k in range(1, LEFT_OUT.shape[0] - 1):
+    for k in range(1, LEFT_OUT.shape[0]):
         left = LEFT_OUT[k, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[k, 0] > 0.0)
         found = found or (left and bank.filters[k].ratio < 1.0)
     return found
@@ -103,20 +107,20 @@ def _set_statuses(dt, z, memory):
         frozen = memory.frozen[sensor + 1] > 0.0 or (sensor == GPS and memory.frozen[0] > 0.0)
         masked = memory.masked[sensor + 1] > 0.0 or memory.garbage > 0.0
         left = LEFT_OUT[force, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[force, 0] > 0.0)
-        why = FROZEN if frozen else CONTRADICTS
         if masked:
             _set(memory, sensor, EXCLUDED, IMPOSSIBLE)
+        elif frozen:
+            _set(memory, sensor, EXCLUDED, FROZEN)
         elif left and one.silent > SILENT_S:
             _set(memory, sensor, ABSENT, SILENT)
         elif left and force == NO_VELOCITY:
             _set(memory, sensor, DOUBTFUL, VELOCITY_OUT)
         elif left:
-            keep = one.status == EXCLUDED and one.reason > NO_REASON and one.reason != IMPOSSIBLE
-            _set(memory, sensor, EXCLUDED, one.reason if keep else why)
+            _set(memory, sensor, EXCLUDED, CONTRADICTS)
         elif one.silent > SILENT_S:
             _set(memory, sensor, ABSENT, SILENT if one.status > ABSENT or one.reason > 0.0 else 0.0)
         elif memory.decision.in_doubt > 0.0 and _may_be_at_fault(bank, sensor):
-            _set(memory, sensor, DOUBTFUL, why)
+            _set(memory, sensor, DOUBTFUL, CONTRADICTS)
         elif one.silent == 0.0 or one.status > ABSENT:
             _set(memory, sensor, OK, NO_REASON)
     commands = memory.drives
@@ -141,7 +145,6 @@ def _watch(dt, cmd, memory, given):
     u, v = one.x[VN] * c + one.x[VE] * s, one.x[VE] * c - one.x[VN] * s
     gyro = bank.epoch_rate - bank.filters[0].x[G]
     rate = gyro if one.uses_gyro > 0.0 and not math.isnan(gyro) else one.x[G]
-    other = bank.filters[NO_GYRO].x[G]
     sound = bank.filters[0]
     bias = (sound.x[A1], sound.x[A2]) if sound.uses_accelerometers > 0.0 else (0.0, 0.0)
     forces = (memory.z[6] - bias[0], memory.z[7] - bias[1])
@@ -153,24 +156,42 @@ def _watch(dt, cmd, memory, given):
     force, has_gps = int(bank.force_filter), False
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
+    headings = bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]
     watch_commands(
-        dt, cmd, (rate, u, v, other), forces, known, doubted, has_gps, memory.clock, memory.drives,
-        given.drives,
+        dt, cmd, (rate, u, v, *headings), forces, known, doubted, has_gps, memory.clock,
+        memory.drives, given.drives,
     )  # fmt: skip
     return has_gps
 
 
 @inlined
-def _write_restart(memory, has_gps, given):
-    """Write where the filter in force is, for the navigation to begin again from.
+def _aid_bank(memory, has_gps, given):
+    """Give the bank what the commands make, where a step of theirs has just ended."""
+    bank, drives = memory.bank, memory.drives
+    sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
+    sound = sound and most_evidence(drives) < SUSPECT and drives.learned >= PUSH_LEARNED_S
+    bank.modelled = 1.0 if sound and not has_gps else 0.0
+    if drives.said == 0.0:
+        return
+    drives.said = 0.0
+    span, scale = drives.length, given.drives.speed / drives.length
+    for axis in range(2):
+        bank.push[axis] = drives.push[axis] * scale
+        bank.excess[axis] = drives.excess[axis] * scale
+        bank.push_var[axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * scale**2
+    bank.samples[PUSH], bank.interval[PUSH] = 1.0, span
+
+
+@kernel
+def write_restart(memory, given, restart):
+    """Write where the filter in force is to ``RESTART``, for the navigation to begin again from.
 
     Without GPS a filter without a ship's model knows no better where the boat is: only the heading
     and, without accelerometers, the surge by the commands begin again.
     """
-    bank = memory.bank
+    bank, has_gps = memory.bank, memory.switched == SWITCHED_WITH_GPS
     k = int(bank.force_filter)
     one = bank.filters[k]
-    restart = memory.restart
     x, P, state, cov = one.x, one.P, restart.state, restart.cov
     c, s = math.cos(x[PSI]), math.sin(x[PSI])
     gyro = bank.rate - x[G]
@@ -220,8 +241,8 @@ def _write_restart(memory, has_gps, given):
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
-BLAMED = 4.0
-"""Above this evidence against the commands, accelerometers are not held against them."""
+SWITCHED, SWITCHED_WITH_GPS = 1.0, 2.0
+"""Another filter has come into force, without and with a GPS before."""
 
 KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
@@ -256,21 +277,21 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     for j in range(PARTS[4, 1]):
         out[j] = memory.z[j]
     find_frozen(dt, memory, given)
+    for part in range(PARTS.shape[0]):
+        if memory.frozen[part] > 0.0:
+            for j in range(PARTS[part, 0], PARTS[part, 1]):
+                out[j] = memory.z[j] = math.nan
     bank = memory.bank
     memory.switched = 0.0
     has_gps = _watch(dt, cmd, memory, given)
-    if advance_bank(dt, memory.z, bank, given.bank, memory.work[:]):
+    _aid_bank(memory, has_gps, given)
+    if advance_bank(dt, memory.z, bank, given.bank):
         drives = memory.drives
-        blamed = drives.hypothesis == SOUND and not has_gps and most_evidence(drives) < BLAMED
-        switched = decide(
-            bank, memory.decision, memory.frozen[:], drives.yaw_witness,
-            drives.force_ratio if blamed else 0.0, given.bank,
-        )  # fmt: skip
+        switched = decide(bank, memory.decision, drives.yaw_witness, given.bank)
         if switched:
-            memory.switched = 1.0
+            memory.switched = SWITCHED_WITH_GPS if has_gps else SWITCHED
             # the motion begins again: a step of the commands that spans it would be wrong
             drives.known = 0.0
-            _write_restart(memory, has_gps, given)
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
         if LEFT_OUT[force, part] > 0.0:
@@ -279,8 +300,8 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     memory.contradicted = 0.0
     if memory.decision.in_doubt > 0.0:
         # what fails is not used until it is known what is wrong
-        for aid in range(AIDS):
-            if aid_ratio(bank.filters[force], aid) >= 1.0:
+        for aid in range(SENSED):
+            if aid_ratio(bank.filters[force], aid, bank) >= 1.0:
                 memory.contradicted = 1.0
                 for j in range(PARTS[aid, 0], PARTS[aid, 1]):
                     out[j] = math.nan

@@ -28,9 +28,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.integrity.bank import LEVEL_MAX, THRESHOLD
+from twin.integrity.bank import LEARN_S
 from twin.particulars import Particulars
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import wrap
 
 __all__ = [
     "DRIVES",
@@ -83,8 +85,8 @@ longer ones drag answers."""
 STEP_MIN_S = 0.9
 """A step is no shorter."""
 
-STEP_LONG = 1.7
-"""A step of more than so many lengths is a gap: its mean drive says little of it."""
+PUSH_LEARNED_S = 30.0
+"""Accelerometers are held against the commands once it was learned for so long how they differ."""
 
 WARM_UP_STEPS = 35.0
 """Nothing is concluded before."""
@@ -92,14 +94,8 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
-RETURNED = 5.0
-"""The same for sound commands, which are likelier from the start."""
-
 DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
-
-FADE = 0.99
-"""Share of the evidence that a step leaves."""
 
 SUSPECT = 1.0
 """Above this evidence nothing is learned: what is wrong would become the model."""
@@ -119,8 +115,8 @@ FORGETTING_STEPS = 200.0
 RESIDUAL_STEPS = 80.0
 """Steps over which residuals are averaged."""
 
-RESIDUAL_SD_MIN, RESIDUAL_SD_MAX = 0.009, 0.3
-"""Bounds of the standard deviation of the residuals, nominal units."""
+RESIDUAL_SD_MIN = 0.009
+"""Least standard deviation of the residuals, nominal units."""
 
 RESIDUAL_MAX = 3.0
 """A residual counts up to so many standard deviations in what is learned."""
@@ -136,25 +132,6 @@ KNOWN_S = 2.0
 
 AGAIN_S = 60.0
 """What has lasted for so long is a boat that has changed: it is learned anew."""
-
-FOLLOW_S = 20.0
-"""Time constant with which the motion by the commands alone follows the true one, while that is
-known: so it is learned how wrong it becomes."""
-
-FORCE_S = 4.0
-"""Window over which accelerometers are held against the commands: longer than waves."""
-
-FORCE_TIME_S = 60.0
-"""Time constant with which offsets and variances of what they differ by are learned ..."""
-
-FORCE_LEARNED_S = 30.0
-"""... and for how long they must have been before they mean anything."""
-
-LEVEL_MIN = 1.0
-"""Least level of the mean of the forces: waves average out sooner than independent errors."""
-
-WITNESS_S = 10.0
-"""Time constant of the witness of gyro and compass."""
 
 DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
 """Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
@@ -191,18 +168,15 @@ DRIVES = np.dtype(
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
         ("offset", "f8", 2),  # what the forces are more than the commands make in a step
         ("force_var", "f8", 2),  # variance of that
-        ("learned", "f8"),  # time over which these were learned, s
-        ("mean", "f8", 2),  # mean of it whitened over FORCE_S
-        ("weight", "f8"),  # sum of the squared weights of this mean
-        ("level", "f8", 2),  # its variance over that of independent steps
-        ("seen", "f8"),  # time that it has seen, s
-        ("force_ratio", "f8"),  # largest statistic over its threshold, without GPS
+        ("push", "f8", 2),  # what the commands made in the last step, forward and to starboard
+        ("excess", "f8", 2),  # what the accelerometers measured more
+        ("length", "f8"),  # how long it was, s
+        ("said", "f8"),  # 1 where these are new
+        ("learned", "f8"),  # time over which offset and variance were learned, s
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
-        ("yaw_witness", "f8"),  # log-likelihood of the turn by compass over that by gyro
-        ("row", "f8", (HYPOTHESES, 2, TERMS)),  # scratch: regressors
-        ("gain", "f8", TERMS),  # scratch
-        ("likelihood", "f8", (2, HYPOTHESES)),  # scratch: of yaw alone, and of all
+        ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
+        ("yaw_witness", "f8"),  # log-likelihood of the turns by compass over that of those by gyro
     ]
 )
 """What the checks of the commands remember; nominal units where none are stated."""
@@ -258,18 +232,18 @@ def _limited(motion):
 
 
 @inlined
-def _write_rows(drives, yaw, surge, sway, has_gps, given):
-    """Write the regressors of all hypotheses."""
-    for h in range(HYPOTHESES):
-        row, mean = drives.row[h], drives.sum
-        thrust = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
-        moment = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
+def _write_row(row, axis, h, yaw, surge, sway, drives, given):
+    """Write the regressors of an axis under a hypothesis."""
+    mean = drives.sum
+    row[0], row[1], row[5] = yaw, yaw * abs(yaw), 1.0
+    if axis == YAW:
         difference = EFFECTS[h, 2, 0] * mean[0] + EFFECTS[h, 2, 1] * mean[1]
-        u = surge if has_gps else drives.surges[h]
-        row[YAW, 0], row[YAW, 1], row[YAW, 2] = yaw, yaw * abs(yaw), moment
-        row[YAW, 3], row[YAW, 4], row[YAW, 5] = difference * given.sides, u * sway, 1.0
-        row[SURGE, 0], row[SURGE, 1], row[SURGE, 2] = u, u * abs(u), thrust
-        row[SURGE, 3], row[SURGE, 4], row[SURGE, 5] = yaw * yaw, sway * yaw, 0.0
+        row[2] = EFFECTS[h, 1, 0] * mean[2] + EFFECTS[h, 1, 1] * mean[3]
+        row[3], row[4] = difference * given.sides, surge * sway
+    else:
+        row[0], row[1], row[5] = surge, surge * abs(surge), 0.0
+        row[2] = EFFECTS[h, 0, 0] * mean[0] + EFFECTS[h, 0, 1] * mean[1]
+        row[3], row[4] = yaw * yaw, sway * yaw
 
 
 @inlined
@@ -282,9 +256,9 @@ def _change(drives, axis, row):
 
 
 @inlined
-def _spread(drives, axis, h, given):
+def _spread(drives, axis, h, row, given):
     """Return the variance of the change of an axis by a hypothesis."""
-    S, row, theta = drives.variance[axis], drives.row[h, axis], drives.theta[axis]
+    S, theta = drives.variance[axis], drives.theta[axis]
     for i in range(TERMS):
         part = 0.0
         for j in range(TERMS):
@@ -313,9 +287,10 @@ def _weight(drives, axis):
 
 
 @kernel
-def _learn(drives, axis, h, change):
+def _learn(drives, axis, h, change, sway, given):
     """Learn from the change of an axis under a hypothesis."""
-    row, P, gain = drives.row[h, axis], drives.P[axis], drives.gain
+    row, gain, P = alloca_f64(TERMS), alloca_f64(TERMS), drives.P[axis]
+    _write_row(row, axis, h, drives.begin[YAW], drives.begin[SURGE], sway, drives, given)
     S = drives.variance[axis]
     for i in range(TERMS):
         gain[i] = 0.0
@@ -334,7 +309,7 @@ def _learn(drives, axis, h, change):
     share = 1.0 / min(max(drives.steps, 4.0), RESIDUAL_STEPS)
     excess = min(error * error, RESIDUAL_MAX**2 * S) - S
     variance = drives.variance[axis] + share * excess
-    drives.variance[axis] = min(max(variance, RESIDUAL_SD_MIN**2), RESIDUAL_SD_MAX**2)
+    drives.variance[axis] = max(variance, RESIDUAL_SD_MIN**2)
     w = min(max(error / math.sqrt(S), -RESIDUAL_MAX), RESIDUAL_MAX)
     drives.product[axis] += share * (w * drives.residual[axis] - drives.product[axis])
     drives.residual[axis] = w
@@ -358,37 +333,39 @@ def _put_in_force(drives, h, now):
         drives.surges[k] = drives.surges[h]
 
 
-@inlined
-def _write_likelihoods(drives, changes, turned, axes, has_gps, given):
+@kernel
+def _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all):
     """Write the log-likelihood of a step by each hypothesis: of yaw alone, and of all."""
+    row = alloca_f64(TERMS)
     for h in range(HYPOTHESES):
-        total = 0.0
-        for axis in range(axes):
-            change = _change(drives, axis, drives.row[h, axis])
-            S = _spread(drives, axis, h, given)
-            total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
+        u, total = drives.begin[SURGE] if has_gps else drives.surges[h], 0.0
+        for axis in range(2):
+            _write_row(row, axis, h, drives.begin[YAW], u, sway, drives, given)
+            change = _change(drives, axis, row)
+            if axis < axes:
+                S = _spread(drives, axis, h, row, given)
+                total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
             if axis == YAW:
-                drives.likelihood[0, h] = total
-        if not has_gps:
-            if axes > SURGE:
-                # to starboard the accelerometers measure the turn at the surge of the hypothesis
-                error = changes[2] - drives.surges[h] * turned
-                S = max(drives.force_var[1], RESIDUAL_SD_MIN**2)
-                total += _log_likelihood(error, S) / max(drives.level[1], 1.0)
-            change = _change(drives, SURGE, drives.row[h, SURGE])
-            drives.surges[h] = _limited(drives.surges[h] + change)
-        drives.likelihood[1, h] = total
+                by_yaw[h] = total
+            elif not has_gps:
+                if axes > SURGE:
+                    # to starboard accelerometers measure the turn at the surge of the hypothesis
+                    error = changes[2] - u * turned
+                    total += _log_likelihood(error, max(drives.force_var[1], RESIDUAL_SD_MIN**2))
+                drives.surges[h] = _limited(u + change)
+        by_all[h] = total
 
 
 @kernel
-def _weigh(drives, changes, turned, axes, has_gps, now, given):
+def _weigh(drives, changes, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
     ``turned`` is that of the heading, rad.
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
-    _write_likelihoods(drives, changes, turned, axes, has_gps, given)
+    by_yaw, by_all = alloca_f64(HYPOTHESES), alloca_f64(HYPOTHESES)
+    _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all)
     drives.steps += 1.0
     strongest = force
     if trained:
@@ -397,17 +374,17 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
                 drives.evidence[h] = 0.0
             else:
                 # without GPS, accelerometers at fault would be commands that make anything
-                part = drives.likelihood[0 if h == UNKNOWN and not has_gps else 1]
-                more = min(part[h] - part[force], DECIDED) - DRIFT
-                drives.evidence[h] = max(FADE * drives.evidence[h] + more, 0.0)
+                more = by_all[h] - by_all[force]
+                if h == UNKNOWN and not has_gps:
+                    more = by_yaw[h] - by_yaw[force]
+                more = min(more, DECIDED) - DRIFT
+                drives.evidence[h] = max(drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
             if drives.evidence[h] > drives.evidence[strongest]:
                 strongest = h
         if drives.evidence[strongest] > DECIDED:
             _put_in_force(drives, strongest, now)
-        elif drives.evidence[SOUND] > RETURNED:
-            _put_in_force(drives, SOUND, now)
         elif force != SOUND and now - drives.since > AGAIN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
@@ -416,61 +393,51 @@ def _weigh(drives, changes, turned, axes, has_gps, now, given):
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
         for axis in range(2):
-            _learn(drives, axis, force, changes[axis])
+            _learn(drives, axis, force, changes[axis], sway, given)
     return suspected
 
 
-@inlined
-def _watch_yaw(drives, gyro, compass, surge, sway, span, h, has_gps):
-    """Hold the yaw rates by gyro and by compass against that by the commands alone."""
-    row = drives.row[h, YAW]
-    row[0], row[1], row[4] = drives.yaw, drives.yaw * abs(drives.yaw), surge * sway
+@kernel
+def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
+    """Hold turns by gyro and by compass against that by the commands alone.
+
+    ``gyro`` is the yaw rate at the end of the step.
+    """
+    before, row = drives.yaw, alloca_f64(TERMS)
+    _write_row(row, YAW, h, before, surge, sway, drives, given)
     drives.yaw = _limited(drives.yaw + _change(drives, YAW, row))
-    S = max(drives.yaw_var, RESIDUAL_SD_MIN**2)
-    ratio = _log_likelihood(compass - drives.yaw, S) - _log_likelihood(gyro - drives.yaw, S)
-    drives.yaw_witness = math.exp(-span / WITNESS_S) * drives.yaw_witness + ratio
+    said, S = 0.5 * (before + drives.yaw), max(drives.yaw_var, RESIDUAL_SD_MIN**2)
+    by_compass = wrap(motion[4] - drives.headings[1]) / span * given.time - said
+    by_gyro = wrap(motion[3] - drives.headings[0]) / span * given.time - said
+    drives.yaw_witness += _log_likelihood(by_compass, S) - _log_likelihood(by_gyro, S)
     if has_gps:
         error = gyro - drives.yaw
-        drives.yaw_var += span / FORCE_TIME_S * (error * error - drives.yaw_var)
-        drives.yaw += span / FOLLOW_S * error
-        drives.yaw_witness = 0.0
+        drives.yaw_var += span / LEARN_S * (error * error - drives.yaw_var)
+        drives.yaw += span / LEARN_S * error
 
 
-@inlined
-def _watch_forces(drives, surge, changes, sway, turned, span, h, has_gps):
-    """Hold what the accelerometers measured in a step against what the commands make.
+@kernel
+def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
+    """Say what the commands make forward and to starboard in a step; learn how wrong it is.
 
     ``surge`` is that by the commands alone when the step began.
     """
-    row = drives.row[h, SURGE]
-    row[0], row[1] = surge, surge * abs(surge)
-    drives.seen += span
-    alpha = min(max(span / FORCE_S, span / drives.seen), 1.0)
-    if has_gps:
-        drives.learned += span
-    share = span / FORCE_TIME_S
-    drives.weight += alpha * (alpha - (2.0 - alpha) * drives.weight)
-    drives.force_ratio = 0.0
+    row = alloca_f64(TERMS)
+    _write_row(row, SURGE, h, drives.begin[YAW], surge, sway, drives, given)
+    share = span / LEARN_S
+    drives.push[0], drives.push[1] = _change(drives, SURGE, row), surge * turned
     for axis in range(2):
-        excess = (
-            changes[1] - _change(drives, SURGE, row) if axis == 0 else changes[2] - surge * turned
-        )
+        excess = changes[1 + axis] - drives.push[axis]
+        drives.excess[axis] = excess
         if has_gps:
+            drives.learned += 0.5 * span
             drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
-        w = excess / math.sqrt(max(drives.force_var[axis], RESIDUAL_SD_MIN**2))
-        w = min(max(w, -6.0), 6.0)
-        drives.mean[axis] += alpha * (w - drives.mean[axis])
-        square = drives.mean[axis] * drives.mean[axis] / drives.weight
-        if has_gps:
-            drives.level[axis] += share * (min(square, LEVEL_MAX) - drives.level[axis])
-        elif drives.learned >= FORCE_LEARNED_S:
-            square /= max(drives.level[axis], LEVEL_MIN) * THRESHOLD
-            drives.force_ratio = max(drives.force_ratio, square)
+    drives.length, drives.said = span, 1.0
 
 
-@inlined
-def _follow(drives, yaw, surge, sway, span, trained):
+@kernel
+def _follow(drives, yaw, surge, sway, span, trained, given):
     """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
     fade = 1.0 - 1.0 / DRIFT_STEPS
     drives.drift[0] = fade * drives.drift[0] + sway * yaw
@@ -480,8 +447,10 @@ def _follow(drives, yaw, surge, sway, span, trained):
     h = int(drives.hypothesis)
     own = surge
     if trained:
-        own = drives.surges[h] + _change(drives, SURGE, drives.row[h, SURGE])
-        own = _limited(own + span / FOLLOW_S * (surge - own))
+        row = alloca_f64(TERMS)
+        _write_row(row, SURGE, h, drives.begin[YAW], drives.surges[h], sway, drives, given)
+        own = drives.surges[h] + _change(drives, SURGE, row)
+        own = _limited(own + span / LEARN_S * (surge - own))
     for k in range(HYPOTHESES):
         drives.surges[k] = own
 
@@ -518,25 +487,20 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     change = surge - drives.begin[SURGE] if has_gps else forces[0]
     changes = (yaw - drives.begin[YAW], change, forces[1])
     trained, own = drives.steps > WARM_UP_STEPS, drives.surges[h]
-    _write_rows(drives, drives.begin[YAW], drives.begin[SURGE], sway, has_gps, given)
     suspected = True
+    if not doubted:
+        drives.yaw_witness = 0.0
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
-        suspected = _weigh(drives, changes, turned, axes, has_gps, now, given)
+        suspected = _weigh(drives, changes, turned, sway, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _watch_yaw(drives, yaw, motion[3] * T, at, sway, span, h, has_gps)
-        if doubted:
-            drives.seen = drives.force_ratio = drives.weight = 0.0
-            drives.mean[0] = drives.mean[1] = 0.0
-        elif measured:
+        _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
+        if measured:
             ahead = (changes[0], forces[0], forces[1])
-            _watch_forces(drives, own, ahead, sway, turned, span, h, has_gps)
-    else:
-        drives.yaw_witness = drives.seen = drives.force_ratio = drives.weight = 0.0
-        drives.mean[0] = drives.mean[1] = 0.0
+            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given)
     if has_gps and not doubted:
-        _follow(drives, yaw, surge, sway, span, trained)
+        _follow(drives, yaw, surge, sway, span, trained, given)
     return not suspected and drives.hypothesis == SOUND
 
 
@@ -548,6 +512,7 @@ def _begin_step(drives, motion, given):
         drives.sum[i] = 0.0
     drives.begin[YAW], drives.begin[SURGE] = motion[0] * given.time, motion[1] / given.speed
     drives.sway = motion[2] / given.speed
+    drives.headings[0], drives.headings[1] = motion[3], motion[4]
 
 
 @kernel
@@ -560,8 +525,9 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         Time since the row before, s.
     cmd : ndarray, shape (4,)
         Command in force since then.
-    motion : tuple of 4 floats
-        Yaw rate, surge and sway over the ground, and yaw rate without gyro; rad/s and m/s.
+    motion : tuple of 5 floats
+        Yaw rate, surge and sway over the ground, rad/s and m/s, heading without compass, and
+        heading without gyro, rad.
     force : tuple of 2 floats
         Specific forces forward and to starboard less their biases, m/s2; NaN where there are none.
     known, doubted, has_gps : bool
@@ -585,8 +551,7 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)
     elif drives.span >= length - 1e-6:
-        short = drives.span < STEP_LONG * length
-        if short and _end_step(drives, motion, doubted, has_gps, now, given):
+        if _end_step(drives, motion, doubted, has_gps, now, given):
             for i in range(4):
                 drives.trusted[i] = drives.before[i]
                 drives.before[i] = cmd[i]

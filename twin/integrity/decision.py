@@ -6,8 +6,8 @@ If only one passes, it comes into force at once, else the best after :data:`DECI
 has seen what it leaves out, nothing has to be undone (solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
-:data:`RETURN_S`, twice as long after each relapse. While a GPS is left out, one more filter begins
-afresh from all sensors. If it passes for :data:`FRESH_S`, dead reckoning had drifted, and it wins.
+:data:`RETURN_S`. Where it fails and a GPS is left out, it begins next
+with the fix. If it passes for :data:`FRESH_S` then, dead reckoning had drifted.
 """
 
 from __future__ import annotations
@@ -19,19 +19,18 @@ import numpy as np
 from twin.integrity.bank import (
     A1,
     A2,
-    ACCELEROMETERS,
     AIDS,
     FILTERS,
     FIXES,
-    FRESH,
     GYRO,
     LEFT_OUT,
     PE,
     PN,
     PSI,
+    SENSED,
     SILENT_S,
     STATES,
-    VN,
+    begin_at_fix,
     convert,
     forget_tests,
 )
@@ -43,14 +42,12 @@ DECISION = np.dtype(
     [
         ("in_doubt", "f8"),  # 1 while the filter in force fails
         ("failing_since", "f8"),  # clock at which it began to; below 0 it passes
-        ("decided", "f8"),  # clock of the last decision, s
-        ("relapses", "f8"),  # decisions that came soon after the one before
-        ("dwell", "f8"),  # how long filter 0 must pass, s
+        ("afresh", "f8"),  # 1 where filter 0 began from a GPS that is left out
     ]
 )
 """What is remembered of decisions."""
 
-SINGLE_S = 0.3
+SINGLE_S = 1.0
 """A failure that a single filter explains is decided after so long."""
 
 LEAD = -2.0 * math.log(1e-3)
@@ -69,17 +66,14 @@ LOST_SD_M = 100.0
 LOST_HEADING_SD_RAD = 0.7
 """Standard deviation of a heading of which hardly anything is known."""
 
-RETURN_S = 2.0
-"""What is left out is used again after filter 0 has passed for so long ..."""
-
-RETURN_MAX_S = 20.0
-"""... twice as long after each relapse, and so long at most ..."""
-
-RELAPSE_S = 60.0
-"""... where a relapse follows the decision before within so long."""
+RETURN_S = 4.0
+"""What is left out is used again after filter 0 has passed for so long."""
 
 FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
+
+DRIFT_SD_MAX = 20.0
+"""... and if it says that dead reckoning is off by no more than so many standard deviations."""
 
 RESYNC_S = 5.0
 """A filter that is not in force and fails goes on from the one in force after so long."""
@@ -89,17 +83,9 @@ RENEW_S = 12.0
 
 PASSES_WELL = 0.5
 """Ratio below which a filter passes with a margin: what returns must."""
-FROZEN_RATIO = 9.0
-"""Ratio of a filter that uses a sensor which repeats itself."""
 
-NO_GPS, NO_COMPASS, NO_GYRO, NO_IMU = 3, 4, 5, 7
+NO_GPS, NO_COMPASS, NO_GYRO = 3, 4, 5
 """Filters that leave these out."""
-
-
-@inlined
-def _is_device(k):
-    """Return whether filter k leaves out two sensors of a device."""
-    return k in (NO_GPS, NO_IMU)
 
 
 @kernel
@@ -122,7 +108,7 @@ def copy_filter(source, target, k, clock, given):
 @kernel
 def _is_minimal(bank, k, force):
     """Return whether no filter that leaves out less than filter k passes."""
-    for other in range(FRESH):
+    for other in range(FILTERS):
         if other in (k, force) or bank.filters[other].ratio >= 1.0:
             continue
         part = True
@@ -136,7 +122,7 @@ def _is_minimal(bank, k, force):
 @kernel
 def _is_candidate(bank, k, force, device):
     """Return whether leaving out what filter k does may explain the failure."""
-    if k == force or bank.filters[k].ratio >= 1.0 or _is_device(k) != device:
+    if k == force or bank.filters[k].ratio >= 1.0 or (k == NO_GPS) != device:
         return False
     return _is_minimal(bank, k, force)
 
@@ -149,21 +135,24 @@ def _best(bank, force, yaw_witness):
     sensors that both use.
     """
     device = False
-    for k in range(FRESH):
+    for k in range(FILTERS):
         device = device or _is_candidate(bank, k, force, False)
     device = not device
     count, best, lead = 0, -1, math.inf
-    for k in range(FRESH):
+    for k in range(FILTERS):
         if not _is_candidate(bank, k, force, device):
             continue
         count += 1
         least = math.inf
-        for other in range(FRESH):
+        for other in range(FILTERS):
             if other == k or not _is_candidate(bank, other, force, device):
                 continue
             ahead = 0.0
             for aid in range(AIDS):
-                if LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0:
+                both = bank.modelled > 0.0
+                if aid < SENSED:
+                    both = LEFT_OUT[k, aid] == 0.0 and LEFT_OUT[other, aid] == 0.0
+                if both:
                     ahead += bank.filters[other].misfit[aid] - bank.filters[k].misfit[aid]
             if k == NO_GYRO and other == NO_COMPASS:
                 ahead += 2.0 * yaw_witness
@@ -177,25 +166,11 @@ def _best(bank, force, yaw_witness):
     return count, best, lead
 
 
-@kernel
-def _begin_fresh(bank, force, given):
-    """Let the fresh filter begin with heading and biases of the one in force, and with the fix."""
-    fresh = bank.filters[FRESH]
-    copy_filter(bank.filters[force], fresh, FRESH, bank.clock, given)
-    for i in range(4):
-        for j in range(STATES):
-            fresh.P[i, j] = fresh.P[j, i] = 0.0
-        fresh.x[i] = bank.start[i]
-    fresh.P[PN, PN] = fresh.P[PE, PE] = 4.0 * given.fix_var
-    for i in range(2):
-        fresh.P[VN + i, VN + i] = given.speed_var
-
-
 @inlined
 def _is_tested(bank, k):
     """Return whether filter k has recent samples that could make it fail."""
-    tested = False
-    for aid in range(AIDS):
+    tested = bank.modelled > 0.0
+    for aid in range(SENSED):
         tested = tested or (LEFT_OUT[k, aid] == 0.0 and bank.age[aid] < SILENT_S)
     return tested
 
@@ -208,27 +183,13 @@ def _begin_anew(bank, given):
         for i in range(STATES):
             for j in range(STATES):
                 one.P[i, j] = 0.0
-        if not math.isnan(bank.start[0]):
-            one.x[PN], one.x[PE] = bank.start[0], bank.start[1]
+        begin_at_fix(one, bank, given)
         one.P[PN, PN] = one.P[PE, PE] = LOST_SD_M**2
-        one.P[VN, VN] = one.P[VN + 1, VN + 1] = given.speed_var
         one.P[PSI, PSI] = LOST_HEADING_SD_RAD**2
         one.P[A1, A1] = one.P[A2, A2] = given.accel_bias_var
         one.uses_gyro = one.uses_accelerometers = -1.0
         one.since = bank.clock
         forget_tests(one)
-
-
-@inlined
-def _add_witnesses(bank, frozen, force_ratio):
-    """Let filters fail that use what repeats itself, or what the commands contradict."""
-    for k in range(FILTERS):
-        one = bank.filters[k]
-        for j in range(LEFT_OUT.shape[1]):
-            if frozen[j] > 0.0 and LEFT_OUT[k, j] == 0.0:
-                one.ratio = max(one.ratio, FROZEN_RATIO)
-        if LEFT_OUT[k, ACCELEROMETERS] == 0.0:
-            one.ratio = max(one.ratio, force_ratio)
 
 
 @kernel
@@ -237,16 +198,14 @@ def _leave_out(bank, state, force, yaw_witness, given):
     filters, now = bank.filters, bank.clock
     if state.failing_since < 0.0:
         state.failing_since = now
+        for k in range(FILTERS):
+            filters[k].misfit[:] = 0.0
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
-    soon = waited >= SINGLE_S or filters[force].ratio >= FROZEN_RATIO
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
-    if best >= 0 and ((soon and certain) or waited > DECIDE_S):
-        relapsed = now - state.decided < RELAPSE_S
-        state.relapses = state.relapses + 1.0 if relapsed else 0.0
-        state.dwell = min(RETURN_S * 2.0**state.relapses, RETURN_MAX_S)
-        state.decided, state.failing_since, state.in_doubt = now, -1.0, 0.0
+    if best >= 0 and waited > (SINGLE_S if certain else DECIDE_S):
+        state.afresh, state.failing_since, state.in_doubt = 0.0, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
             copy_filter(filters[best], filters[0], 0, now, given)
@@ -258,21 +217,11 @@ def _leave_out(bank, state, force, yaw_witness, given):
     return False
 
 
-@kernel
-def _use_fresh(bank, state, force, given):
-    """Begin the fresh filter where a GPS is left out; return whether all goes on from it."""
-    fresh, now = bank.filters[FRESH], bank.clock
-    if fresh.ratio >= 1.0 or fresh.since <= state.decided:
-        if bank.age[FIXES] < given.gps_latency + 1.0:
-            _begin_fresh(bank, force, given)
-        return False
-    lasted = now - fresh.since > FRESH_S and fresh.seen[FIXES] > 0.5 * FRESH_S
-    if not (lasted and fresh.ratio < PASSES_WELL):
-        return False
-    for k in range(FRESH):
-        copy_filter(fresh, bank.filters[k], k, now, given)
-    bank.force_filter, state.decided = 0.0, now
-    return True
+@inlined
+def _may_have_drifted(fresh, reckoned):
+    """Return whether dead reckoning may be so wrong as a filter that began from the GPS says."""
+    separation = math.hypot(fresh.x[PN] - reckoned.x[PN], fresh.x[PE] - reckoned.x[PE])
+    return separation < DRIFT_SD_MAX * math.sqrt(reckoned.P[PN, PN] + reckoned.P[PE, PE])
 
 
 @kernel
@@ -281,38 +230,42 @@ def _use_again(bank, state, force, given):
     full, now = bank.filters[0], bank.clock
     lasted = now - full.since
     if full.ratio >= 1.0:
-        state.dwell = min(max(state.dwell, 2.0 * lasted), RETURN_MAX_S)
+        # in turn from the filter in force and from a GPS that is left out
+        has_fix = LEFT_OUT[force, FIXES] > 0.0 and bank.age[FIXES] < given.gps_latency + 1.0
+        state.afresh = 1.0 - state.afresh if has_fix else 0.0
         copy_filter(bank.filters[force], full, 0, now, given)
+        if state.afresh > 0.0:
+            begin_at_fix(full, bank, given)
         return False
-    if lasted <= state.dwell or full.ratio >= PASSES_WELL:
+    dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
+    if lasted <= dwell or full.ratio >= PASSES_WELL:
         return False
-    for aid in range(AIDS):
-        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * state.dwell:
+    if state.afresh > 0.0 and not _may_have_drifted(full, bank.filters[force]):
+        return False
+    for aid in range(SENSED):
+        if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * dwell:
             return False  # it has not spoken meanwhile
     bank.force_filter = 0.0
-    for k in range(1, FRESH):
+    for k in range(1, FILTERS):
         copy_filter(full, bank.filters[k], k, now, given)
     return True
 
 
 @kernel
-def decide(bank, state, frozen, yaw_witness, force_ratio, given):
+def decide(bank, state, yaw_witness, given):
     """Choose the filter in force after an epoch; return whether it changed.
 
-    ``state`` is the record of the decision, ``frozen`` (5,) is 1 for what repeats itself. The last
-    two are what the commands say without GPS: see :mod:`twin.integrity.commands`.
+    ``state`` is the record of the decision, ``yaw_witness`` the log-likelihood of the turns by
+    compass over that of those by gyro.
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
-    _add_witnesses(bank, frozen, force_ratio)
     state.in_doubt = 0.0
     if filters[force].ratio >= 1.0:
         return _leave_out(bank, state, force, yaw_witness, given)
     state.failing_since = -1.0
-    if 0 < force <= NO_GPS and _use_fresh(bank, state, force, given):
-        return True
     if force != 0 and _use_again(bank, state, force, given):
         return True
-    for k in range(1, FRESH):
+    for k in range(1, FILTERS):
         lasted = now - filters[k].since
         renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > RENEW_S + k
         if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > RESYNC_S)):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
 from twin.checkpoint import State, check_fields, fill
-from twin.integrity.checks import check_sensors
+from twin.filters.navigation_state import RESTART
+from twin.integrity.checks import check_sensors, write_restart
 from twin.integrity.state import (
     INTEGRITY,
     INTEGRITY_SETTINGS,
@@ -59,6 +60,13 @@ def _check(dt, z, cmd, s, ready, memory, settings, out):
     """Do :func:`check_sensors` on flat memory."""
     record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
     check_sensors(dt, z, cmd, s, ready, record, given, out)
+
+
+@kernel
+def _restart(memory, settings, restart):
+    """Do :func:`write_restart` on flat memory."""
+    record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
+    write_restart(record, given, as_record(restart, RESTART))
 
 
 def statuses_of(record: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
@@ -149,7 +157,10 @@ class SensorMonitor:
     @property
     def restart(self) -> Any:
         """Where the navigation begins again (``RESTART``) before this row; None: it goes on."""
-        return None if self.memory[_SWITCHED] == 0.0 else self.record["restart"]
+        if self.memory[_SWITCHED] == 0.0:
+            return None
+        _restart(self.memory, self._settings, restart := np.zeros(RESTART.itemsize // 8))
+        return restart.view(RESTART)[0]
 
     @property
     def doubts_wind(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a sensor cannot give: impossible numbers, leaps of accelerations, and exact repetition.
+"""What a sensor cannot give: impossible numbers, and exact repetition.
 
 These are no questions of probability: no boat gives the first, and noise never repeats to the bit.
 """
@@ -19,14 +19,11 @@ PARTS = np.array([[0, 2], [2, 4], [4, 5], [5, 6], [6, 8]])
 
 FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 
-REPEATS = np.array([3.0, 3.0, 6.0, 12.0, 12.0])
+REPEATS = 6.0
 """After so many typical times between new samples one that repeats itself is frozen."""
 
 MASKED_S, MASKED_SAMPLES = 0.5, 2.5
 """After an impossible number the sensor is left out for so long, or for so many samples."""
-
-LEAPS_MAX = 3.0
-"""Accelerations that leap in so many rows in a row are those of the boat after all."""
 
 MOVES = 0.1
 """A boat moves above this share of its nominal speed."""
@@ -42,7 +39,7 @@ RENEWAL_MAX_S = 5.0
 
 @inlined
 def screen(dt, z, memory, given):
-    """Leave out impossible numbers, and accelerations that leap for a row or two.
+    """Leave out impossible numbers.
 
     Impossible numbers of two sensors make a row garbage as a whole.
     """
@@ -62,13 +59,6 @@ def screen(dt, z, memory, given):
     for part in range(PARTS.shape[0]):
         for j in range(PARTS[part, 0], PARTS[part, 1]):
             out[j] = math.nan if memory.masked[part] > 0.0 or bad > 1 else z[j]
-    leap = False
-    for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
-        leap = leap or abs(out[j] - memory.last[j]) > given.leap
-    memory.leaps = memory.leaps + 1.0 if leap else 0.0
-    if leap and memory.leaps < LEAPS_MAX:
-        for j in range(PARTS[ACCELEROMETERS, 0], PARTS[ACCELEROMETERS, 1]):
-            out[j] = math.nan
 
 
 @inlined
@@ -109,7 +99,7 @@ def find_frozen(dt, memory, given):
             same = same and z[j] == memory.last[j]
         typical = max(memory.renewal[part], bank.row)
         if same:
-            long = memory.unchanged[part] > (REPEATS[part] - 0.5) * typical
+            long = memory.unchanged[part] > (REPEATS - 0.5) * typical
             memory.frozen[part] = 1.0 if long and _shows_motion(part, memory, given) else 0.0
             if part <= COMPASS and memory.unused[part] < max(REPEAT_USED_S, 2.0 * typical):
                 for j in range(first, end):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.filters.navigation_state import RESTART, largest_leap, sample_limits
+from twin.filters.navigation_state import sample_limits
 from twin.integrity.bank import BANK, BANK_SETTINGS, LEVEL_START, bank_settings
 from twin.integrity.commands import DRIVES, DRIVES_SETTINGS, drives_settings, initial_drives
 from twin.integrity.decision import DECISION
@@ -102,12 +102,9 @@ INTEGRITY = np.dtype(
         ("masked", "f8", PARTS),  # time for which it is left out after impossible numbers, s
         ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
-        ("leaps", "f8"),  # rows in a row with leaps of the acceleration
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad
-        ("switched", "f8"),  # 1 in a row after which another filter is in force
-        ("restart", RESTART),  # where the navigation begins again then
+        ("switched", "f8"),  # 1 in a row after which another filter is in force, 2: it had GPS
         ("wind", WIND_CHECK),
-        ("work", "f8", 8),  # scratch
         ("z", "f8", 8),  # scratch: samples of the row that may be used
     ]
 )
@@ -118,7 +115,6 @@ INTEGRITY_SETTINGS = np.dtype(
         ("bank", BANK_SETTINGS),
         ("drives", DRIVES_SETTINGS),
         ("limits", "f8", 8),  # sizes that no sample reaches
-        ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
         ("wind_gain", "f8"),  # wind 10 m above the sea over that at the anemometer
     ]
 )
@@ -141,7 +137,6 @@ def integrity_settings(particulars: Particulars) -> Array:
             *bank_settings(particulars),
             *drives_settings(particulars),
             *sample_limits(particulars)[:8],
-            largest_leap(particulars),
             (REFERENCE_HEIGHT_M / height) ** PROFILE,
         ]
     )
@@ -152,12 +147,11 @@ def initial_integrity(particulars: Particulars) -> Array:
     memory = np.zeros(INTEGRITY.itemsize // 8)
     record = memory.view(INTEGRITY)[0]
     bank = record["bank"]
-    for name in ("start", "rate", "epoch_rate", "epoch_force"):
+    for name in ("last", "rate", "epoch_rate", "epoch_force"):
         bank[name] = math.nan
-    bank["filters"]["level"] = LEVEL_START
+    bank["level"] = LEVEL_START
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
     record["last"] = math.nan
     record["decision"]["failing_since"] = -1.0
-    record["decision"]["decided"] = -math.inf
     record["drives"] = initial_drives(particulars).view(DRIVES)[0]
     return memory

@@ -35,7 +35,6 @@ from twin.filters.navigation_state import (
     initial_navigation,
     navigation_settings,
 )
-from twin.filters.navigator import ask
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, assess
@@ -564,7 +563,7 @@ class UKFPredictor(ModelPredictor):
 
     def begin_again(self, restart: Any) -> None:
         """See :meth:`twin.predictors.base.Predictor.begin_again`."""
-        ask(self._nav, restart)
+        self._nav["restart"] = restart
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

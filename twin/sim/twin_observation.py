@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
-from twin.filters.navigation_ekf import ask_to_begin_again
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     filter_config,
@@ -19,7 +18,7 @@ from twin.identification.joint_ukf import (
     forecast_mean,
     limit_covariances,
 )
-from twin.integrity.checks import check_sensors
+from twin.integrity.checks import check_sensors, write_restart
 from twin.integrity.state import INTEGRITY, INTEGRITY_SETTINGS, SENSORS
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
@@ -279,7 +278,7 @@ def _check_row(dt, boat, note, nav, given):
     nav.commands_doubted = health.commands_doubted
     nav.motion_doubted = health.motion_doubted
     if health.switched > 0.0:
-        ask_to_begin_again(health.restart, nav)
+        write_restart(health, given, nav.restart)
     for k in range(N_ACT):
         note.trusted[k] = (
             health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.reported[k]
