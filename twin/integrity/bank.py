@@ -129,7 +129,7 @@ LEVEL_MAX = 4.0
 LEVEL_START = 4.0
 """Level at the start: how good the sensors are is not known yet."""
 
-TIMING_S = 0.1
+TIMING_S = 0.2
 """Standard deviation of a sensor's undeclared delay."""
 
 FILTER = np.dtype(

@@ -66,7 +66,7 @@ LOST_SD_M = 100.0
 LOST_HEADING_SD_RAD = 0.7
 """Standard deviation of a heading of which hardly anything is known."""
 
-RETURN_S = 4.0
+RETURN_S = 2.0
 """What is left out is used again after filter 0 has passed for so long."""
 
 FRESH_S = 20.0
