@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
+from twin.channels import MEASUREMENTS, PSI, TRUE_MOTION, R, U, V, X, Y
 from twin.logs.columns import Array
-from twin.logs.tables import ExportError, StateTable
-from twin.tilt import body_rates, body_velocity, body_yaw_rate
+from twin.logs.tables import ExportError
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -27,17 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BAG_SUFFIX",
-    "Forecast",
-    "check_bag",
     "write_bag",
 ]
 
 BAG_SUFFIX = ".mcap"
-
-_TILT = ("heave_m", "roll_rad", "pitch_rad")
-
-_RATES = ("vertical_speed_mps", "p_radps", "q_radps")
-"""Columns of a table of estimates, in the order of ``twin.channels.TRUE_MOTION``."""
 
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
@@ -53,23 +45,7 @@ class Event(NamedTuple):
     message: Any
 
 
-class Forecast(NamedTuple):
-    """A forecast made at t0 (s): times (K,), states (K, 6) and their covariances (K, 6, 6).
-
-    ``tilt`` and ``tilt_sd`` (K, 3) are heave (m, down), roll and pitch, ``tilt_rates`` (K, 3) their
-    time derivatives, where the twin forecasts them.
-    """
-
-    t0: float
-    t: Array
-    mean: Array
-    cov: Array
-    tilt: Array | None = None
-    tilt_sd: Array | None = None
-    tilt_rates: Array | None = None
-
-
-def check_bag(path: str | Path, log: Log) -> None:
+def _check(path: str | Path, log: Log) -> None:
     """Refuse to write a bag without rosbags, or of times that ROS has no stamp for.
 
     Raises
@@ -91,13 +67,8 @@ def check_bag(path: str | Path, log: Log) -> None:
         )
 
 
-def write_bag(
-    path: str | Path,
-    log: Log,
-    states: StateTable | None = None,
-    forecast: Forecast | None = None,
-) -> None:
-    """Write a run, and what a twin made of it, as an MCAP file.
+def write_bag(path: str | Path, log: Log) -> None:
+    """Write a run as an MCAP file.
 
     Parameters
     ----------
@@ -105,17 +76,13 @@ def write_bag(
         File to create or replace.
     log : Log
         The run. NavSatFix is written where it has latitude and longitude.
-    states : StateTable, optional
-        Estimates of a twin at its rows, from ``Twin.run``.
-    forecast : Forecast, optional
-        What a twin predicts.
 
     Raises
     ------
     ExportError
         Without rosbags, or for times before 1970.
     """
-    check_bag(path, log)
+    _check(path, log)
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -124,10 +91,6 @@ def write_bag(
     streams = [make.measured(log)]
     if log.truth is not None:
         streams.append(make.truth(log))
-    if states is not None:
-        streams.append(make.estimates(states))
-    if forecast is not None:
-        streams.append(make.forecast(forecast))
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         links: dict[str, Any] = {}
@@ -183,48 +146,28 @@ class _Messages:
         place = self._vector(state[Y], state[X], -tilt[0], "Point")
         return self._new("geometry_msgs/msg/Pose", place, self._turn(state[PSI], *tilt[1:]))
 
-    def _odometry(
-        self,
-        t: float,
-        state: Array,
-        cov: Array,
-        motion: Array | None = None,
-        sd: Array | None = None,
-        child: str = "base_link",
-    ) -> Any:
-        """Return a state (6,) with its covariance (6, 6).
-
-        ``motion`` (6,) is in the order of ``twin.channels.TRUE_MOTION``; ``sd`` (3,) is that of
-        heave, roll and pitch.
-        """
-        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
-        pose = self._pose(state, (m[0], m[1], m[2]))
-        linear = self._vector(state[U], -state[V], -m[3])
-        twist = self._new("geometry_msgs/msg/Twist", linear, self._vector(m[4], -m[5], -state[R]))
-        # from north, east, heading and forward, starboard, to starboard
-        signs = np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0])
-        turned = cov * np.outer(signs, signs)
-        spread = [np.zeros((6, 6)), np.zeros((6, 6))]
-        for whole, kept in zip(spread, ((Y, X, PSI), (U, V, R)), strict=True):
-            whole[np.ix_((0, 1, 5), (0, 1, 5))] = turned[np.ix_(kept, kept)]
-        if sd is not None:
-            spread[0][(2, 3, 4), (2, 3, 4)] = sd**2
+    def _odometry(self, t: float, state: Array, motion: Array) -> Any:
+        """Return a true state (6,) and motion (6,) in the order of ``TRUE_MOTION``."""
+        pose = self._pose(state, motion[:3])
+        linear = self._vector(state[U], -state[V], -motion[3])
+        angular = self._vector(motion[4], -motion[5], -state[R])
+        twist = self._new("geometry_msgs/msg/Twist", linear, angular)
+        exact = np.zeros(36)
         return self._new(
             "nav_msgs/msg/Odometry",
             self._header(t, "map"),
-            child,
-            self._new("geometry_msgs/msg/PoseWithCovariance", pose, spread[0].ravel()),
-            self._new("geometry_msgs/msg/TwistWithCovariance", twist, spread[1].ravel()),
+            "truth",
+            self._new("geometry_msgs/msg/PoseWithCovariance", pose, exact),
+            self._new("geometry_msgs/msg/TwistWithCovariance", twist, exact),
         )
 
-    def _transform(self, t: float, state: Array, child: str, motion: Array | None = None) -> Any:
-        """Return where a boat is in the map, and how it is turned."""
-        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
-        place = self._vector(state[Y], state[X], -m[0])
-        turn = self._turn(state[PSI], m[1], m[2])
+    def _transform(self, t: float, state: Array, motion: Array) -> Any:
+        """Return where the true boat is in the map, and how it is turned."""
+        place = self._vector(state[Y], state[X], -motion[0])
+        turn = self._turn(state[PSI], motion[1], motion[2])
         turn = self._new("geometry_msgs/msg/Transform", place, turn)
         header = self._header(t, "map")
-        stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
+        stamped = self._new("geometry_msgs/msg/TransformStamped", header, "truth", turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
 
     def measured(self, log: Log) -> Iterator[Event]:
@@ -323,64 +266,15 @@ class _Messages:
     def truth(self, log: Log) -> Iterator[Event]:
         """Yield the true states of a simulated run."""
         assert log.truth is not None
-        for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):
+        motions = log.true_motion
+        if motions is None:
+            motions = np.zeros((len(log.t), len(TRUE_MOTION)))
+        for t, state, motion in zip(log.t.tolist(), log.truth, motions, strict=True):
             if np.isfinite(state).all():
-                motion = None if log.true_motion is None else log.true_motion[k]
-                whole = self._odometry(t, state, np.zeros((6, 6)), motion, child="truth")
+                whole = self._odometry(t, state, motion)
                 yield Event(self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "truth", motion)
+                at = self._transform(t, state, motion)
                 yield Event(self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at)
-
-    def estimates(self, states: StateTable) -> Iterator[Event]:
-        """Yield a twin's estimates, as soon as it has one."""
-        names = states.dtype.names or ()
-        columns = [np.asarray(states[name]) for name in STATE]
-        sd = np.stack([np.asarray(states[f"sd_{name}"]) for name in STATE], axis=1)
-        motions, off = np.full((2, len(states), len(TRUE_MOTION)), math.nan)
-        if _TILT[0] in names:
-            motions = np.stack([np.asarray(states[name]) for name in (*_TILT, *_RATES)], axis=1)
-            off = np.stack([np.asarray(states[f"sd_{name}"]) for name in _TILT], axis=1)
-        for k, (t, state) in enumerate(
-            zip(np.asarray(states[TIME]).tolist(), np.stack(columns, axis=1), strict=True)
-        ):
-            if np.isfinite(state).all():
-                heeled, motion, spread = state, None, None
-                if np.isfinite(motions[k]).all():
-                    (heeled, motion), spread = _heeled(state, motions[k]), off[k]
-                whole = self._odometry(t, heeled, np.diag(sd[k] ** 2), motion, spread)
-                yield Event(self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "base_link", motion)
-                yield Event(self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at)
-
-    def forecast(self, forecast: Forecast) -> Iterator[Event]:
-        """Yield the path ahead when it was made, and its states with covariances at their times."""
-        poses, later = [], []
-        for k, (t, state, cov) in enumerate(
-            zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True)
-        ):
-            motion, sd = None, None
-            if forecast.tilt is not None and forecast.tilt_rates is not None:
-                tilt, (climb, *turning) = forecast.tilt[k], forecast.tilt_rates[k].tolist()
-                rates = body_rates((*turning, state[R]), tilt[1:])
-                state, motion = _heeled(state, np.array([*tilt, climb, *rates[:2]]))
-                sd = None if forecast.tilt_sd is None else forecast.tilt_sd[k]
-            pose = self._pose(state, (0.0, 0.0, 0.0) if motion is None else motion[:3])
-            header = self._header(t, "map")
-            poses.append(self._new("geometry_msgs/msg/PoseStamped", header, pose))
-            later.append((t, self._odometry(t, state, cov, motion, sd, "forecast")))
-        path = self._new("nav_msgs/msg/Path", self._header(forecast.t0, "map"), poses)
-        yield Event(self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path)
-        for t, whole in later:
-            yield Event(self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole)
-
-
-def _heeled(state: Array, motion: Array) -> tuple[Array, Array]:
-    """Return a state and its motion with velocities and rates in the axes of the heeled boat."""
-    tilt = motion[1:3]
-    state, motion = state.copy(), motion.copy()
-    state[R] = body_yaw_rate(state[R], tilt, motion[5])
-    state[U], state[V], motion[3] = body_velocity((state[U], state[V], motion[3]), tilt)
-    return state, motion
 
 
 def _air(speed: float, source: float) -> tuple[float, float]:
