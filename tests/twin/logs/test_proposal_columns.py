@@ -113,10 +113,16 @@ def test_unlike_commands_are_asked(tmp_path: Path) -> None:
     assert "n_rps is taken from throttle alone" in output
 
 
-def test_a_heading_from_east_is_told_by_the_track(tmp_path: Path) -> None:
+def test_shafts_tell_swapped_places_from_a_heading_from_east(tmp_path: Path) -> None:
+    swapped = renamed(boat(), lat="lon", lon="lat")
+    output, log = mapped(write(tmp_path / "a.csv", swapped))
+    assert "longitude are swapped, and they are taken so" in output
+    text = (tmp_path / "a.mapping.toml").read_text()
+    assert "enu" not in text and "scale = -1.0" not in text and 'latitude = "lon"' in text
+    assert log.datum is not None and log.datum.latitude == pytest.approx(LATITUDE, abs=1e-3)
     east = boat()
     east["heading_deg"] = (90.0 - east["heading_deg"]) % 360.0
-    mapped(write(tmp_path / "b.csv", east))
+    output, _ = mapped(write(tmp_path / "b.csv", east))
     text = (tmp_path / "b.mapping.toml").read_text()
     assert 'frame = "enu"' in text and 'latitude = "lat"' in text
 

@@ -154,6 +154,21 @@ def test_plain_left_and_right_are_the_shafts(tmp_path: Path) -> None:
     assert "left, right: taken as the shafts" in found.questions
 
 
+def test_course_tells_that_latitude_and_longitude_are_swapped(tmp_path: Path) -> None:
+    log = mapped(
+        write(
+            tmp_path / "run.csv",
+            "Time",
+            DATES["UTC"][1],
+            names="Longitude,Latitude,SOG (kn),COG,heading",
+        )
+    )
+    text = (tmp_path / "run.mapping.toml").read_text()
+    assert 'latitude = "Longitude"' in text and "enu" not in text and "swapped" in text
+    way = np.hypot(*np.diff(log.z[:, :2], axis=0).T)
+    assert way == pytest.approx(2.0 * STEP, abs=0.05)
+
+
 def test_columns_with_the_names_of_a_log_are_taken(tmp_path: Path) -> None:
     names = ["t_s", "gps_x_m", "gps_y_m", "compass_deg", "n_left_rpm", "n_right_rpm"]
     names += ["wind_true_mps", "wind_true_from_rad"]

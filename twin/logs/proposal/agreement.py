@@ -15,6 +15,7 @@ __all__ = [
     "Agreement",
     "gyro_on_compass",
     "heading_on_track",
+    "turns_as_driven",
     "velocity_on_fixes",
 ]
 
@@ -23,6 +24,9 @@ WINDOW_S = 2.0
 
 FAR_M = 1e9
 """No boat goes farther between two fixes, whatever the unit."""
+
+HORIZONS_S, SEEN = (1.0, 2.0, 4.0, 8.0), 0.4
+"""Times over which commands turn a boat, and the correlation from which on they are seen to."""
 
 
 class Agreement(NamedTuple):
@@ -114,3 +118,33 @@ def gyro_on_compass(
     known = np.isfinite(turns).all(axis=0)
     x, y = (each[known] - each[known].mean() for each in turns)
     return _agreement(x + 0j, y + 0j)
+
+
+def turns_as_driven(t: Array, psi: Array, difference: Array) -> bool:
+    """Return whether more thrust on the left turns a boat to larger headings.
+
+    Parameters
+    ----------
+    t, psi, difference : ndarray, shape (N,)
+        Times, s, headings, rad, and thrust on the left less that on the right.
+    """
+    known = np.isfinite(psi) & np.isfinite(difference)
+    if known.sum() < 3 * ENOUGH:
+        return False
+    t, psi, difference = t[known], np.unwrap(psi[known]), difference[known]
+    pushed, best = integrated(t, difference), 0.0
+    for horizon in HORIZONS_S:
+        at = np.arange(t[0] + horizon, t[-1] - 2.0 * horizon, horizon)
+        if len(at) < ENOUGH:
+            continue
+        edges = [sampled(t, psi, at + k * horizon) for k in (-0.5, 0.5, 1.5)]
+        before, after = edges[1] - edges[0], edges[2] - edges[1]
+        acts = sampled(t, pushed, at + horizon) - sampled(t, pushed, at)
+        ok = np.isfinite(after) & np.isfinite(before) & np.isfinite(acts)
+        known_of = np.column_stack([before[ok], np.ones(int(ok.sum()))])
+        both = np.column_stack([(after - before)[ok], acts[ok]])
+        both = both - known_of @ np.linalg.lstsq(known_of, both, rcond=1e-9)[0]
+        size = float(np.prod(np.linalg.norm(both, axis=0)))
+        found = float(both[:, 0] @ both[:, 1]) / size if size > 0.0 else 0.0
+        best = max(best, found, key=abs)
+    return best > SEEN

@@ -12,8 +12,8 @@ from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
 from twin.logs.files import number_of
-from twin.logs.proposal.agreement import heading_on_track
-from twin.logs.proposal.header_words import NAMES, means, unit_of
+from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
+from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
 from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, known, pick, put
 
 __all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
@@ -78,18 +78,31 @@ def place_degrees(
         lat, lon = 1e-7 * lat, 1e-7 * lon
         most = [1e-7 * each for each in most]
         add_line(found, "position", "scale = 1e-7  # as MAVLink has them")
+    swapped = ""
     if most[0] > 90.0 >= most[1]:
-        found.questions.append(
+        swapped = (
             f"{names[0]} reaches {most[0]:.4g} degrees: latitude and longitude are swapped, and "
             "taken so"
         )
-        names, (lat, lon), most = names[::-1], (lon, lat), most[::-1]
     elif most[0] > 90.0:
         nmea = most[0] < 9060.0 and most[1] < _NMEA
         found.questions.append(
             f"{names[0]} reaches {most[0]:.6g}, no latitude: convert it to degrees before"
             + " (NMEA has degrees and minutes in one number, ddmm.mm)" * nmea
         )
+    elif _is_swapped(columns, t, lat, lon):
+        swapped = (
+            f"{names[0]}, {names[1]}: the course over ground goes with them only if latitude "
+            "and longitude are swapped, and they are taken so"
+        )
+    elif _is_swapped_by_heading(columns, t, lat, lon):
+        swapped = (
+            f"{names[0]}, {names[1]}: heading and commands go with them only if latitude and "
+            "longitude are swapped, and they are taken so"
+        )
+    if swapped:
+        found.questions.append(swapped)
+        names, (lat, lon), most = names[::-1], (lon, lat), most[::-1]
     for key, name in zip(("latitude", "longitude"), names, strict=True):
         add_line(found, "position", f"{key} = {json.dumps(columns.take(name), ensure_ascii=False)}")
     return None if t is None or most[0] > 90.0 else _metres(t, lat, lon)
@@ -104,6 +117,26 @@ def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     return clean(t, np.column_stack(plane.metres(lat, lon)))
 
 
+def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+    """Return whether speed and course over ground say that latitude and longitude are swapped."""
+    speed, course = pick(columns, "speed"), pick(columns, "course")
+    if t is None or speed is None or course is None or speed == course:
+        return False
+    angle = columns.numbers[course]
+    angle = angle if angle_unit(course, angle) == "rad" else np.radians(angle)
+    value = columns.numbers[speed]
+    velocity = clean(t, np.column_stack([value * np.cos(angle), value * np.sin(angle)]))
+    coherence = []
+    for one, other in ((lat, lon), (lon, lat)):
+        if np.abs(known(one)).max(initial=0.0) > 90.0:
+            return False
+        fix = _metres(t, one, other)
+        fit = None if fix is None else velocity_on_fixes(fix, velocity)
+        aligned = fit is not None and abs(fit.turned) < 0.3
+        coherence.append(fit.coherence if fit is not None and aligned else 0.0)
+    return coherence[1] > 0.9 and coherence[0] < 0.6
+
+
 def is_from_east(fix: tuple[Array, Array], heading: tuple[Array, Array]) -> bool | None:
     """Return whether the track says that a heading (rad) counts from east; None if it turns wrong.
 
@@ -113,6 +146,35 @@ def is_from_east(fix: tuple[Array, Array], heading: tuple[Array, Array]) -> bool
     if fit is None or not (fit.mirrored > 0.7 and fit.mirrored > fit.coherence + 0.3):
         return False
     return True if abs(fit.mirror - 0.5 * math.pi) < 0.6 else None
+
+
+def _is_swapped_by_heading(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+    """Return whether the heading counts from east by the track, but from north by the shafts.
+
+    More thrust to port increases a heading that runs clockwise from north.
+    """
+    name = pick(columns, "heading")
+    fix = None if t is None else _metres(t, lat, lon)
+    if t is None or fix is None or name is None or np.abs(known(lon)).max(initial=0.0) > 90.0:
+        return False
+    values = columns.numbers[name]
+    if np.abs(known(values)).max(initial=0.0) > 3000.0:
+        values = 0.01 * values
+    angle = values if angle_unit(name, values) == "rad" else np.radians(values)
+    if not is_from_east(fix, clean(t, angle)):
+        return False
+    there = [n for n in columns.left if n in columns.numbers and is_command(n, SHAFT)]
+    sides = sides_of(there)
+    if sides is None:
+        return False
+    thrust = []
+    for each in sides:
+        shaft = columns.numbers[each]
+        pulses = known(shaft).min(initial=math.inf) >= 800.0 and known(shaft).max() <= 2200.0
+        n = shaft - 1500.0 * pulses
+        thrust.append(n * np.abs(n))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return turns_as_driven(t, angle, thrust[0] - thrust[1])
 
 
 def angle_unit(name: str, values: Array) -> str:
