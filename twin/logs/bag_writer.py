@@ -7,12 +7,11 @@ so that whole turns are lost.
 
 from __future__ import annotations
 
-import heapq
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,16 +32,6 @@ BAG_SUFFIX = ".mcap"
 
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
-
-
-class Event(NamedTuple):
-    """A message with its time (ns), its place among those of that time, its topic and kind."""
-
-    ns: int
-    place: int
-    topic: str
-    kind: str
-    message: Any
 
 
 def _check(path: str | Path, log: Log) -> None:
@@ -88,18 +77,15 @@ def write_bag(path: str | Path, log: Log) -> None:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     make = _Messages(store.types, _epoch(log))
-    streams = [make.measured(log)]
-    if log.truth is not None:
-        streams.append(make.truth(log))
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         links: dict[str, Any] = {}
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for event in heapq.merge(*streams, key=lambda event: event[:2]):
-                topic, kind = event.topic, event.kind
+            for ns, topic, message in make.rows(log):
+                kind = message.__msgtype__
                 if topic not in links:
                     links[topic] = writer.add_connection(topic, kind, typestore=store)
-                writer.write(links[topic], event.ns, store.serialize_cdr(event.message, kind))
+                writer.write(links[topic], ns, store.serialize_cdr(message, kind))
         write_whole(path, next(bag.glob("*.mcap")).read_bytes())
 
 
@@ -141,14 +127,11 @@ class _Messages:
         z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
         return self._new(kind, x, y, z, w)
 
-    def _pose(self, state: Array, tilt: Sequence[float] | Array) -> Any:
-        """Return a pose; ``tilt`` is place down, roll and pitch."""
-        place = self._vector(state[Y], state[X], -tilt[0], "Point")
-        return self._new("geometry_msgs/msg/Pose", place, self._turn(state[PSI], *tilt[1:]))
-
     def _odometry(self, t: float, state: Array, motion: Array) -> Any:
         """Return a true state (6,) and motion (6,) in the order of ``TRUE_MOTION``."""
-        pose = self._pose(state, motion[:3])
+        place = self._vector(state[Y], state[X], -motion[0], "Point")
+        turn = self._turn(state[PSI], motion[1], motion[2])
+        pose = self._new("geometry_msgs/msg/Pose", place, turn)
         linear = self._vector(state[U], -state[V], -motion[3])
         angular = self._vector(motion[4], -motion[5], -state[R])
         twist = self._new("geometry_msgs/msg/Twist", linear, angular)
@@ -170,23 +153,26 @@ class _Messages:
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, "truth", turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
 
-    def measured(self, log: Log) -> Iterator[Event]:
-        """Yield what sensors and commands say, row by row."""
+    def rows(self, log: Log) -> Iterator[tuple[int, str, Any]]:
+        """Yield the time (ns), topic and message of commands, samples and truth, row by row."""
         plane = None if log.datum is None else log.datum.plane
         places = None if plane is None else np.stack(plane.degrees(*log.z[:, :2].T), axis=1)
         for k, t in enumerate(log.t.tolist()):
             row = dict(zip(MEASUREMENTS, log.z[k].tolist(), strict=True))
-            ns = self._ns(t)
+            said: dict[str, Any] = {}
             if k + 1 < len(log.t):  # a row has what was in force in the interval that ends at it
-                kind = "sensor_msgs/msg/JointState"
-                yield Event(ns, 0, "/command", kind, self._command(t, log.cmd[k + 1]))
-            for place, (topic, kind, of) in enumerate(_SENSORS, start=1):
-                message = of(self, t, row)
-                if message is not None:
-                    yield Event(ns, place, topic, kind, message)
+                said["/command"] = self._command(t, log.cmd[k + 1])
+            said |= {topic: of(self, t, row) for topic, of in _SENSORS.items()}
             if places is not None and np.isfinite(places[k]).all():
-                fix = self._fix(t, places[k], row["gps_z_m"])
-                yield Event(ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix)
+                said["/gps/fix"] = self._fix(t, places[k], row["gps_z_m"])
+            if log.truth is not None and np.isfinite(log.truth[k]).all():
+                still = np.zeros(len(TRUE_MOTION))
+                motion = still if log.true_motion is None else log.true_motion[k]
+                said["/truth/odometry"] = self._odometry(t, log.truth[k], motion)
+                said["/tf"] = self._transform(t, log.truth[k], motion)
+            for topic, message in said.items():
+                if message is not None:
+                    yield self._ns(t), topic, message
 
     def _command(self, t: float, cmd: Array) -> Any:
         names = ["left_shaft", "right_shaft", "left_drive", "right_drive"]
@@ -263,31 +249,18 @@ class _Messages:
         vector = self._vector(x, y, z)
         return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
-    def truth(self, log: Log) -> Iterator[Event]:
-        """Yield the true states of a simulated run."""
-        assert log.truth is not None
-        motions = log.true_motion
-        if motions is None:
-            motions = np.zeros((len(log.t), len(TRUE_MOTION)))
-        for t, state, motion in zip(log.t.tolist(), log.truth, motions, strict=True):
-            if np.isfinite(state).all():
-                whole = self._odometry(t, state, motion)
-                yield Event(self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, motion)
-                yield Event(self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at)
-
 
 def _air(speed: float, source: float) -> tuple[float, float]:
     """Return the velocity of air that comes from a direction clockwise from the first axis."""
     return -speed * math.cos(source), -speed * math.sin(source)
 
 
-_SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], Any]], ...] = (
-    ("/gps/position", "geometry_msgs/msg/PointStamped", _Messages.position),
-    ("/gps/velocity", "geometry_msgs/msg/TwistStamped", _Messages.velocity),
-    ("/imu/data", "sensor_msgs/msg/Imu", _Messages.imu),
-    ("/ahrs", "geometry_msgs/msg/Vector3Stamped", _Messages.ahrs),
-    ("/wind", "geometry_msgs/msg/Vector3Stamped", _Messages.wind),
-    ("/wind/apparent", "geometry_msgs/msg/Vector3Stamped", _Messages.apparent_wind),
-)
-"""Topic, kind and maker of each sensor's message."""
+_SENSORS: dict[str, Callable[[_Messages, float, dict[str, float]], Any]] = {
+    "/gps/position": _Messages.position,
+    "/gps/velocity": _Messages.velocity,
+    "/imu/data": _Messages.imu,
+    "/ahrs": _Messages.ahrs,
+    "/wind": _Messages.wind,
+    "/wind/apparent": _Messages.apparent_wind,
+}
+"""Topic and maker of each sensor's message, which is None where nothing is measured."""
