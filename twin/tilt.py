@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["body_rates", "body_velocity", "body_yaw_rate"]
+__all__ = ["body_velocity", "body_yaw_rate"]
 
 Array = NDArray[np.float64]
 
@@ -35,28 +35,6 @@ def body_velocity(upright: ArrayLike, tilt: ArrayLike) -> Array:
             np.cos(pitch) * ahead - np.sin(pitch) * down,
             np.cos(roll) * side + np.sin(roll) * low,
             np.cos(roll) * low - np.sin(roll) * side,
-        ],
-        axis=-1,
-    )
-
-
-def body_rates(turning: ArrayLike, tilt: ArrayLike) -> Array:
-    """Return roll, pitch and yaw rates in the axes of the boat, shape (..., 3), rad/s.
-
-    Parameters
-    ----------
-    turning : array_like, shape (..., 3)
-        Time derivatives of roll, pitch and heading, rad/s.
-    tilt : array_like, shape (..., 2)
-        Roll and pitch, rad.
-    """
-    roll_rate, pitch_rate, turn = np.moveaxis(np.asarray(turning, dtype=np.float64), -1, 0)
-    roll, pitch = np.moveaxis(np.asarray(tilt, dtype=np.float64), -1, 0)
-    return np.stack(
-        [
-            roll_rate - np.sin(pitch) * turn,
-            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * turn,
-            np.cos(roll) * np.cos(pitch) * turn - np.sin(roll) * pitch_rate,
         ],
         axis=-1,
     )

@@ -19,10 +19,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 
-from twin.digital_twin import Twin
-from twin.logs.bag_writer import BAG_SUFFIX, check_bag
-from twin.logs.log import Log
-from twin.logs.tables import check_export
 from twin.model.structure import MODELS
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
@@ -238,14 +234,6 @@ def row_progress(text: str, total: int) -> Iterator[Callable[[], None]]:
 def radians(degrees: float | None) -> float | None:
     """Return an angle in rad, or None."""
     return None if degrees is None else math.radians(degrees)
-
-
-def check_out(path: Path, log: Log, twin: Twin) -> None:
-    """Refuse a file of estimates or forecasts that could not be written."""
-    if path.suffix == BAG_SUFFIX:
-        check_bag(path, log)
-    else:
-        check_export(path, twin.datum, (BAG_SUFFIX,))
 
 
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:

@@ -14,7 +14,6 @@ from twin.cli.common import (
     ModelOption,
     OptionError,
     ShipOption,
-    check_out,
     console,
     explain,
     note,
@@ -24,8 +23,8 @@ from twin.cli.common import (
 )
 from twin.cli.tables import print_estimate, print_health, print_prior
 from twin.digital_twin import Twin
-from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.errors import LogError
+from twin.logs.tables import check_export
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
@@ -63,8 +62,7 @@ def identify_command(
         typer.Option(
             "--out",
             "-o",
-            help="State and parameters with sd at every row: .csv, .parquet or .geojson; "
-            "or the log with the states: .mcap.",
+            help="State and parameters with sd at every row: .csv, .parquet or .geojson.",
         ),
     ] = None,
     json_file: Annotated[
@@ -121,7 +119,7 @@ def identify_command(
             note(line)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
         if out is not None:
-            check_out(out, log, twin)
+            check_export(out, twin.datum)
         prior = twin.estimate()
         with row_progress(f"identifying {log.name}", len(log)) as advance:
             table = twin.run(log, advance)
@@ -135,10 +133,7 @@ def identify_command(
             twin.save(save)
             console.print(f"the twin at t = {twin.t:.2f} s: {save}")
         if out is not None:
-            if out.suffix == BAG_SUFFIX:
-                write_bag(out, log, table)
-            else:
-                table.write(out, boat=twin.particulars.name, log=log.name, predictor=twin.name)
+            table.write(out, boat=twin.particulars.name, log=log.name, predictor=twin.name)
             console.print(f"every row: {out}")
         if json_file is not None:
             write_json(json_file, _estimate_json(last, twin))

@@ -15,18 +15,15 @@ from twin.cli.common import (
     ModelOption,
     PredictorOption,
     ShipOption,
-    check_out,
     console,
     note,
     row_progress,
 )
 from twin.cli.tables import print_health, print_prediction
 from twin.digital_twin import TwinError, known_plan
-from twin.logs.bag_writer import BAG_SUFFIX, Forecast, write_bag
 from twin.logs.errors import LogError
 from twin.logs.plan import read_plan
-from twin.motion import CHANNELS
-from twin.predictors.base import Prediction
+from twin.logs.tables import check_export
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import twin_for_log
 
@@ -59,8 +56,7 @@ def predict_command(
         typer.Option(
             "--out",
             "-o",
-            help="The prediction, its sd and its 90 % interval: .csv, .parquet or .geojson; or "
-            "with the log and the estimates: .mcap.",
+            help="The prediction, its sd and its 90 % interval: .csv, .parquet or .geojson.",
         ),
     ] = None,
 ) -> None:
@@ -72,7 +68,7 @@ def predict_command(
         note(line)
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
     if out is not None:
-        check_out(out, run, twin)
+        check_export(out, twin.datum)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -86,7 +82,7 @@ def predict_command(
     row = int(np.searchsorted(run.t, at + 1e-9) - 1)
     before = run.slice(-math.inf, math.nextafter(run.t[row], math.inf))
     with row_progress("identifying", row + 1) as advance:
-        states = twin.run(before, advance)
+        twin.run(before, advance)
     print_health(twin.notes)
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
@@ -95,22 +91,7 @@ def predict_command(
     prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
     title = f"{run.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, plan {plan}"
     print_prediction(prediction, title, twin.sea)
-    if out is not None and out.suffix == BAG_SUFFIX:
-        write_bag(out, run, states, _forecast(prediction))
-        console.print(f"log, estimates and prediction: {out}")
-    elif out is not None:
+    if out is not None:
         about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
         prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
         console.print(f"every 0.1 s: {out}")
-
-
-def _forecast(prediction: Prediction) -> Forecast:
-    """Return a prediction as a bag has it."""
-    whole = Forecast(prediction.t0, prediction.t, prediction.mean, prediction.cov)
-    motion = prediction.motion
-    if motion is None:
-        return whole
-    after = prediction.t - motion.t0
-    columns = [CHANNELS.index(name) for name in ("heave_m", "roll_rad", "pitch_rad")]
-    mean, sd, rates = (part[:, columns] for part in (*motion.at(after), motion.rates_at(after)))
-    return whole._replace(tilt=mean, tilt_sd=sd, tilt_rates=rates)

@@ -7,19 +7,17 @@ so that whole turns are lost.
 
 from __future__ import annotations
 
-import heapq
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
+from twin.channels import MEASUREMENTS, PSI, TRUE_MOTION, R, U, V, X, Y
 from twin.logs.columns import Array
-from twin.logs.tables import ExportError, StateTable
-from twin.tilt import body_rates, body_velocity, body_yaw_rate
+from twin.logs.tables import ExportError
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -27,49 +25,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BAG_SUFFIX",
-    "Forecast",
-    "check_bag",
     "write_bag",
 ]
 
 BAG_SUFFIX = ".mcap"
 
-_TILT = ("heave_m", "roll_rad", "pitch_rad")
-
-_RATES = ("vertical_speed_mps", "p_radps", "q_radps")
-"""Columns of a table of estimates, in the order of ``twin.channels.TRUE_MOTION``."""
-
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
 
 
-class Event(NamedTuple):
-    """A message with its time (ns), its place among those of that time, its topic and kind."""
-
-    ns: int
-    place: int
-    topic: str
-    kind: str
-    message: Any
-
-
-class Forecast(NamedTuple):
-    """A forecast made at t0 (s): times (K,), states (K, 6) and their covariances (K, 6, 6).
-
-    ``tilt`` and ``tilt_sd`` (K, 3) are heave (m, down), roll and pitch, ``tilt_rates`` (K, 3) their
-    time derivatives, where the twin forecasts them.
-    """
-
-    t0: float
-    t: Array
-    mean: Array
-    cov: Array
-    tilt: Array | None = None
-    tilt_sd: Array | None = None
-    tilt_rates: Array | None = None
-
-
-def check_bag(path: str | Path, log: Log) -> None:
+def _check(path: str | Path, log: Log) -> None:
     """Refuse to write a bag without rosbags, or of times that ROS has no stamp for.
 
     Raises
@@ -91,13 +56,8 @@ def check_bag(path: str | Path, log: Log) -> None:
         )
 
 
-def write_bag(
-    path: str | Path,
-    log: Log,
-    states: StateTable | None = None,
-    forecast: Forecast | None = None,
-) -> None:
-    """Write a run, and what a twin made of it, as an MCAP file.
+def write_bag(path: str | Path, log: Log) -> None:
+    """Write a run as an MCAP file.
 
     Parameters
     ----------
@@ -105,38 +65,27 @@ def write_bag(
         File to create or replace.
     log : Log
         The run. NavSatFix is written where it has latitude and longitude.
-    states : StateTable, optional
-        Estimates of a twin at its rows, from ``Twin.run``.
-    forecast : Forecast, optional
-        What a twin predicts.
 
     Raises
     ------
     ExportError
         Without rosbags, or for times before 1970.
     """
-    check_bag(path, log)
+    _check(path, log)
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     make = _Messages(store.types, _epoch(log))
-    streams = [make.measured(log)]
-    if log.truth is not None:
-        streams.append(make.truth(log))
-    if states is not None:
-        streams.append(make.estimates(states))
-    if forecast is not None:
-        streams.append(make.forecast(forecast))
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         links: dict[str, Any] = {}
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for event in heapq.merge(*streams, key=lambda event: event[:2]):
-                topic, kind = event.topic, event.kind
+            for ns, topic, message in make.rows(log):
+                kind = message.__msgtype__
                 if topic not in links:
                     links[topic] = writer.add_connection(topic, kind, typestore=store)
-                writer.write(links[topic], event.ns, store.serialize_cdr(event.message, kind))
+                writer.write(links[topic], ns, store.serialize_cdr(message, kind))
         write_whole(path, next(bag.glob("*.mcap")).read_bytes())
 
 
@@ -178,72 +127,52 @@ class _Messages:
         z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
         return self._new(kind, x, y, z, w)
 
-    def _pose(self, state: Array, tilt: Sequence[float] | Array) -> Any:
-        """Return a pose; ``tilt`` is place down, roll and pitch."""
-        place = self._vector(state[Y], state[X], -tilt[0], "Point")
-        return self._new("geometry_msgs/msg/Pose", place, self._turn(state[PSI], *tilt[1:]))
-
-    def _odometry(
-        self,
-        t: float,
-        state: Array,
-        cov: Array,
-        motion: Array | None = None,
-        sd: Array | None = None,
-        child: str = "base_link",
-    ) -> Any:
-        """Return a state (6,) with its covariance (6, 6).
-
-        ``motion`` (6,) is in the order of ``twin.channels.TRUE_MOTION``; ``sd`` (3,) is that of
-        heave, roll and pitch.
-        """
-        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
-        pose = self._pose(state, (m[0], m[1], m[2]))
-        linear = self._vector(state[U], -state[V], -m[3])
-        twist = self._new("geometry_msgs/msg/Twist", linear, self._vector(m[4], -m[5], -state[R]))
-        # from north, east, heading and forward, starboard, to starboard
-        signs = np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0])
-        turned = cov * np.outer(signs, signs)
-        spread = [np.zeros((6, 6)), np.zeros((6, 6))]
-        for whole, kept in zip(spread, ((Y, X, PSI), (U, V, R)), strict=True):
-            whole[np.ix_((0, 1, 5), (0, 1, 5))] = turned[np.ix_(kept, kept)]
-        if sd is not None:
-            spread[0][(2, 3, 4), (2, 3, 4)] = sd**2
+    def _odometry(self, t: float, state: Array, motion: Array) -> Any:
+        """Return a true state (6,) and motion (6,) in the order of ``TRUE_MOTION``."""
+        place = self._vector(state[Y], state[X], -motion[0], "Point")
+        turn = self._turn(state[PSI], motion[1], motion[2])
+        pose = self._new("geometry_msgs/msg/Pose", place, turn)
+        linear = self._vector(state[U], -state[V], -motion[3])
+        angular = self._vector(motion[4], -motion[5], -state[R])
+        twist = self._new("geometry_msgs/msg/Twist", linear, angular)
+        exact = np.zeros(36)
         return self._new(
             "nav_msgs/msg/Odometry",
             self._header(t, "map"),
-            child,
-            self._new("geometry_msgs/msg/PoseWithCovariance", pose, spread[0].ravel()),
-            self._new("geometry_msgs/msg/TwistWithCovariance", twist, spread[1].ravel()),
+            "truth",
+            self._new("geometry_msgs/msg/PoseWithCovariance", pose, exact),
+            self._new("geometry_msgs/msg/TwistWithCovariance", twist, exact),
         )
 
-    def _transform(self, t: float, state: Array, child: str, motion: Array | None = None) -> Any:
-        """Return where a boat is in the map, and how it is turned."""
-        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
-        place = self._vector(state[Y], state[X], -m[0])
-        turn = self._turn(state[PSI], m[1], m[2])
+    def _transform(self, t: float, state: Array, motion: Array) -> Any:
+        """Return where the true boat is in the map, and how it is turned."""
+        place = self._vector(state[Y], state[X], -motion[0])
+        turn = self._turn(state[PSI], motion[1], motion[2])
         turn = self._new("geometry_msgs/msg/Transform", place, turn)
         header = self._header(t, "map")
-        stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
+        stamped = self._new("geometry_msgs/msg/TransformStamped", header, "truth", turn)
         return self._new("tf2_msgs/msg/TFMessage", [stamped])
 
-    def measured(self, log: Log) -> Iterator[Event]:
-        """Yield what sensors and commands say, row by row."""
+    def rows(self, log: Log) -> Iterator[tuple[int, str, Any]]:
+        """Yield the time (ns), topic and message of commands, samples and truth, row by row."""
         plane = None if log.datum is None else log.datum.plane
         places = None if plane is None else np.stack(plane.degrees(*log.z[:, :2].T), axis=1)
         for k, t in enumerate(log.t.tolist()):
             row = dict(zip(MEASUREMENTS, log.z[k].tolist(), strict=True))
-            ns = self._ns(t)
+            said: dict[str, Any] = {}
             if k + 1 < len(log.t):  # a row has what was in force in the interval that ends at it
-                kind = "sensor_msgs/msg/JointState"
-                yield Event(ns, 0, "/command", kind, self._command(t, log.cmd[k + 1]))
-            for place, (topic, kind, of) in enumerate(_SENSORS, start=1):
-                message = of(self, t, row)
-                if message is not None:
-                    yield Event(ns, place, topic, kind, message)
+                said["/command"] = self._command(t, log.cmd[k + 1])
+            said |= {topic: of(self, t, row) for topic, of in _SENSORS.items()}
             if places is not None and np.isfinite(places[k]).all():
-                fix = self._fix(t, places[k], row["gps_z_m"])
-                yield Event(ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix)
+                said["/gps/fix"] = self._fix(t, places[k], row["gps_z_m"])
+            if log.truth is not None and np.isfinite(log.truth[k]).all():
+                still = np.zeros(len(TRUE_MOTION))
+                motion = still if log.true_motion is None else log.true_motion[k]
+                said["/truth/odometry"] = self._odometry(t, log.truth[k], motion)
+                said["/tf"] = self._transform(t, log.truth[k], motion)
+            for topic, message in said.items():
+                if message is not None:
+                    yield self._ns(t), topic, message
 
     def _command(self, t: float, cmd: Array) -> Any:
         names = ["left_shaft", "right_shaft", "left_drive", "right_drive"]
@@ -320,80 +249,18 @@ class _Messages:
         vector = self._vector(x, y, z)
         return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
-    def truth(self, log: Log) -> Iterator[Event]:
-        """Yield the true states of a simulated run."""
-        assert log.truth is not None
-        for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):
-            if np.isfinite(state).all():
-                motion = None if log.true_motion is None else log.true_motion[k]
-                whole = self._odometry(t, state, np.zeros((6, 6)), motion, child="truth")
-                yield Event(self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "truth", motion)
-                yield Event(self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at)
-
-    def estimates(self, states: StateTable) -> Iterator[Event]:
-        """Yield a twin's estimates, as soon as it has one."""
-        names = states.dtype.names or ()
-        columns = [np.asarray(states[name]) for name in STATE]
-        sd = np.stack([np.asarray(states[f"sd_{name}"]) for name in STATE], axis=1)
-        motions, off = np.full((2, len(states), len(TRUE_MOTION)), math.nan)
-        if _TILT[0] in names:
-            motions = np.stack([np.asarray(states[name]) for name in (*_TILT, *_RATES)], axis=1)
-            off = np.stack([np.asarray(states[f"sd_{name}"]) for name in _TILT], axis=1)
-        for k, (t, state) in enumerate(
-            zip(np.asarray(states[TIME]).tolist(), np.stack(columns, axis=1), strict=True)
-        ):
-            if np.isfinite(state).all():
-                heeled, motion, spread = state, None, None
-                if np.isfinite(motions[k]).all():
-                    (heeled, motion), spread = _heeled(state, motions[k]), off[k]
-                whole = self._odometry(t, heeled, np.diag(sd[k] ** 2), motion, spread)
-                yield Event(self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole)
-                at = self._transform(t, state, "base_link", motion)
-                yield Event(self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at)
-
-    def forecast(self, forecast: Forecast) -> Iterator[Event]:
-        """Yield the path ahead when it was made, and its states with covariances at their times."""
-        poses, later = [], []
-        for k, (t, state, cov) in enumerate(
-            zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True)
-        ):
-            motion, sd = None, None
-            if forecast.tilt is not None and forecast.tilt_rates is not None:
-                tilt, (climb, *turning) = forecast.tilt[k], forecast.tilt_rates[k].tolist()
-                rates = body_rates((*turning, state[R]), tilt[1:])
-                state, motion = _heeled(state, np.array([*tilt, climb, *rates[:2]]))
-                sd = None if forecast.tilt_sd is None else forecast.tilt_sd[k]
-            pose = self._pose(state, (0.0, 0.0, 0.0) if motion is None else motion[:3])
-            header = self._header(t, "map")
-            poses.append(self._new("geometry_msgs/msg/PoseStamped", header, pose))
-            later.append((t, self._odometry(t, state, cov, motion, sd, "forecast")))
-        path = self._new("nav_msgs/msg/Path", self._header(forecast.t0, "map"), poses)
-        yield Event(self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path)
-        for t, whole in later:
-            yield Event(self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole)
-
-
-def _heeled(state: Array, motion: Array) -> tuple[Array, Array]:
-    """Return a state and its motion with velocities and rates in the axes of the heeled boat."""
-    tilt = motion[1:3]
-    state, motion = state.copy(), motion.copy()
-    state[R] = body_yaw_rate(state[R], tilt, motion[5])
-    state[U], state[V], motion[3] = body_velocity((state[U], state[V], motion[3]), tilt)
-    return state, motion
-
 
 def _air(speed: float, source: float) -> tuple[float, float]:
     """Return the velocity of air that comes from a direction clockwise from the first axis."""
     return -speed * math.cos(source), -speed * math.sin(source)
 
 
-_SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], Any]], ...] = (
-    ("/gps/position", "geometry_msgs/msg/PointStamped", _Messages.position),
-    ("/gps/velocity", "geometry_msgs/msg/TwistStamped", _Messages.velocity),
-    ("/imu/data", "sensor_msgs/msg/Imu", _Messages.imu),
-    ("/ahrs", "geometry_msgs/msg/Vector3Stamped", _Messages.ahrs),
-    ("/wind", "geometry_msgs/msg/Vector3Stamped", _Messages.wind),
-    ("/wind/apparent", "geometry_msgs/msg/Vector3Stamped", _Messages.apparent_wind),
-)
-"""Topic, kind and maker of each sensor's message."""
+_SENSORS: dict[str, Callable[[_Messages, float, dict[str, float]], Any]] = {
+    "/gps/position": _Messages.position,
+    "/gps/velocity": _Messages.velocity,
+    "/imu/data": _Messages.imu,
+    "/ahrs": _Messages.ahrs,
+    "/wind": _Messages.wind,
+    "/wind/apparent": _Messages.apparent_wind,
+}
+"""Topic and maker of each sensor's message, which is None where nothing is measured."""

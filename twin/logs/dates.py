@@ -163,10 +163,10 @@ _PARTS = {
     "%y": r"(?P<short_year>\d{2})",
     "%m": r"(?P<month>\d{1,2})",
     "%b": r"(?P<month_name>[A-Za-z]{3,9})",
-    "%d": r"(?P<day>\d{1,2})",
+    "%d": r"\s*(?P<day>\d{1,2})",
     "%j": r"(?P<day_of_year>\d{1,3})",
     "%a": r"[A-Za-z]{3,9}",
-    "%H": r"(?P<hour>\d{1,2})",
+    "%H": r"\s*(?P<hour>\d{1,2})",
     "%M": r"(?P<minute>\d{1,2})",
     "%S": r"(?P<second>\d{1,2})",
     "%p": r"(?P<half>[AaPp])\.?[Mm]\.?",
@@ -180,9 +180,10 @@ _PARTS = {
 """Letters of a format, and what they stand for in a text."""
 
 _ISO = re.compile(
-    rf"{_PARTS['%Y']}([-/]){_PARTS['%m']}\2{_PARTS['%d']}"
-    rf"(?:[T ]{_PARTS['%H']}:{_PARTS['%M']}(?::{_PARTS['%S']}{_PARTS['%.f']})?"
-    rf"{_PARTS['%z']}?)?",
+    # with dashes or slashes, or without a mark where T follows
+    rf"{_PARTS['%Y']}([-/]|(?=\d{{4}}T)){_PARTS['%m']}\2{_PARTS['%d']}"
+    rf"(?:[T ]{_PARTS['%H']}(:|(?<=T\d\d)){_PARTS['%M']}(?:\6{_PARTS['%S']}{_PARTS['%.f']})?"
+    rf"(?:\s+(?=Z))?{_PARTS['%z']}?)?",
     re.ASCII,
 )
 

@@ -202,10 +202,10 @@ class CsvFile:
                 f"{self.source}: line {first - 1 + reader.line_num}: {error}; check the quotation "
                 "marks up to there"
             ) from None
-        if len(wanted) == len(self.header):
+        surplus = max(map(len, rows), default=0) > len(self.header)
+        if surplus and len(wanted) == len(self.header):
             ragged = ragged_line(text, first, len(self.header), self.mark)
-            if ragged:
-                raise LogError(f"{self.source}: {ragged}")
+            raise LogError(f"{self.source}: {ragged}")
         missing = [""] * len(self.header)
         rows = [row if len(row) >= len(missing) else row + missing[len(row) :] for row in rows]
         columns = [[row[j] for row in rows] for j in wanted]

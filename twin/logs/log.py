@@ -10,7 +10,7 @@ import dataclasses
 import difflib
 import gzip
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +43,7 @@ from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, shorten, twice_said
-from twin.logs.mapping import Layout, layout_of, lone_sides, mapping_path
+from twin.logs.mapping import Layout, layout_of, mapping_path
 from twin.logs.parquet import ParquetFile, column_file, need_polars, write_parquet
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
@@ -60,33 +60,6 @@ LOG_SUFFIXES = (".csv", ".csv.gz", ".parquet", BAG_SUFFIX)
 """What the name of a log that is written ends in."""
 
 _KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *TRUE_MOTION, *SINGLE, *OTHER_UNITS, *DATUM)
-
-# Names that other projects use, and that no spelling distance would find.
-_ALIASES = {
-    **dict.fromkeys(("t", "time", "time_s", "timestamp"), TIME),
-    "x_m": "gps_x_m",
-    "y_m": "gps_y_m",
-    "heading": "compass_rad",
-    "r_radps": "gyro_radps",
-    "gyro_z_radps": "gyro_radps",
-    "p_radps": "gyro_x_radps",
-    "q_radps": "gyro_y_radps",
-    **dict.fromkeys(("wind_speed", "wind_speed_mps", "tws_mps"), "wind_mps"),
-    "wind_direction": "wind_from_rad",
-    "aws_mps": "apparent_wind_mps",
-}
-_ALIASES |= {
-    f"{given}_{unit}": f"{name}_{unit}"
-    for name, others in {
-        "compass": ("psi", "heading"),
-        "ahrs_roll": ("roll",),
-        "ahrs_pitch": ("pitch",),
-        "wind_from": ("wind_direction", "wind_dir", "twd"),
-        "apparent_wind": ("awa",),
-    }.items()
-    for given in others
-    for unit in ("rad", "deg")
-}
 
 RARE = (
     slice(WIND_SPEED, MOTION_AT),
@@ -422,35 +395,16 @@ def _chosen(
         if header.count(given) > 1:
             raise LogError(twice_said(source, given, file.head))
     left = [given for given in header if given not in used]
-    absent = [
-        name
-        for name in _KNOWN
-        if name not in DATUM and OTHER_UNITS.get(name, (name, 1.0))[0] not in made
-    ]
-    hints = {given: hint for given in left if (hint := _meant(given, absent))}
-    remedy = [
-        f"rename {given} to {hint}"
-        for given, hint in hints.items()
-        if OTHER_UNITS.get(hint, (hint, 1.0))[0] in REQUIRED
-    ]
-    remedy = remedy or ["add them to the file"]
-    others = f"or name them in {layout.source if mapped_here else 'a mapping file'}"
+    remedy = f"add them, or name them in {layout.source if mapped_here else 'a mapping file'}"
     if not mapped_here:
-        others += f" (usv-twin mapping {source} proposes one)"
+        remedy += f" (usv-twin mapping {source} proposes one)"
     if not any(name in made for name in SINGLE["delta_rad"]):
-        others += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
-    remedy_text = f"{'; '.join(remedy)}, {others} {there}"
-    lacking = _lacking(source, made, remedy_text)
+        remedy += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
+    lacking = _lacking(source, made, f"{remedy} {there}")
     if layout.entries:
-        notes = lone_sides(entries, left)
-        if left:
-            notes.append(f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}")
-        return entries, notes, layout, lacking
-    notes = [
-        f"{given or '(no name)'}: unknown column, left out"
-        + (f"; if it is {hints[given]}, rename it" if given in hints else "")
-        for given in left
-    ]
+        unused = f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"
+        return entries, [unused] if left else [], layout, lacking
+    notes = [f"{given or '(no name)'}: unknown column, left out" for given in left]
     return entries, notes, layout, lacking
 
 
@@ -561,13 +515,3 @@ def _merge_equal_times(table: Table) -> None:
         "not contradict it, merged with it"
     )
     table.data, table.line = found.data, lambda row: line(int(rows[row]))
-
-
-def _meant(given: str, absent: Sequence[str]) -> str | None:
-    """Return the absent column that an unknown name probably stands for."""
-    low = given.lower().replace(" ", "_")
-    if low in _ALIASES:
-        return _ALIASES[low] if _ALIASES[low] in absent else None
-    begun = [name for name in absent if name.startswith(low + "_")]
-    near = begun or difflib.get_close_matches(low, absent, n=1, cutoff=0.7)
-    return near[0] if near else None

@@ -75,7 +75,6 @@ from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
 from twin.logs.datum import FIXES, Datum, Plane
 from twin.logs.errors import LogError
-from twin.logs.proposal.header_words import other_side
 from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 
@@ -83,7 +82,6 @@ __all__ = [
     "GROUP",
     "Layout",
     "layout_of",
-    "lone_sides",
     "mapping_path",
 ]
 
@@ -192,19 +190,6 @@ def layout_of(name: str, header: Sequence[str]) -> Layout | None:
             kept = tuple(entry for entry in layout.entries if entry in there)
             return replace(layout, source=f"{kind}.toml", entries=kept)
     return None
-
-
-def lone_sides(entries: Sequence[Entry], left: Sequence[str]) -> list[str]:
-    """Return notes on columns left out that look like the other side of one for both sides."""
-    notes = []
-    for entry in entries:
-        pair = other_side(entry.sources[0], left) if len(entry.sources) == 1 else None
-        if pair is not None and entry.names in SINGLE.values():
-            notes.append(
-                f"{pair[0]}, {pair[1]}: left and right by their names, but {entry.sources[0]} "
-                f"counts for both; map them to {' and '.join(entry.names)}"
-            )
-    return notes
 
 
 class _Parser:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +46,7 @@ class ExportError(UsvTwinError):
     """A file that cannot be written as asked; the message names it and the remedy."""
 
 
-def check_export(path: str | Path, datum: Datum | None, more: Collection[str] = ()) -> None:
+def check_export(path: str | Path, datum: Datum | None) -> None:
     """Refuse a file of an unknown kind, and GeoJSON without a place on Earth.
 
     Parameters
@@ -55,8 +55,6 @@ def check_export(path: str | Path, datum: Datum | None, more: Collection[str] = 
         Of the file.
     datum : Datum or None
         Of the log.
-    more : collection of str
-        Other endings to choose from, for the message.
 
     Raises
     ------
@@ -66,7 +64,7 @@ def check_export(path: str | Path, datum: Datum | None, more: Collection[str] = 
     suffix = Path(path).suffix
     if suffix not in FORMATS:
         raise ExportError(
-            f"{path}: unknown kind of file; its name must end in {', '.join((*FORMATS, *more))}"
+            f"{path}: unknown kind of file; its name must end in {', '.join(FORMATS)}"
         )
     if suffix == ".parquet":
         need_polars(f"{path}: writing Parquet", ExportError)

@@ -323,15 +323,6 @@ class MotionForecast:
         sd = np.stack([np.interp(times, after, column) for column in self.sd.T], axis=1)
         return CubicSpline(after, self.mean)(times), sd
 
-    def rates_at(self, horizons: ArrayLike) -> Array:
-        """Return the time derivatives of the means, shape (h, 4), at times after t0 (h,), s.
-
-        After the last row they are 0.
-        """
-        after, times = self.t - self.t0, np.asarray(horizons, dtype=np.float64)
-        rates = CubicSpline(after, self.mean)(np.clip(times, 0.0, after[-1]), 1)
-        return np.where((times > after[-1])[:, None], 0.0, rates)
-
     def columns(self, t: Array) -> dict[str, Array]:
         """Return columns by name at times (N,): means, then ``sd_``, ``low_`` and ``high_``.
 

@@ -209,7 +209,7 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
     assert np.isnan(log.z[:, 8]).all()
     assert log.notes == (
         "battery_V: unknown column, left out",
-        "wind: unknown column, left out; if it is wind_mps, rename it",
+        "wind: unknown column, left out",
         "wind_mps: not in the file, taken as never measured",
     )
 
@@ -220,23 +220,6 @@ def test_missing_column_is_named(tmp_path: Path, name: str) -> None:
     del table[name]
     message = refused(save(tmp_path / "a.csv", table))
     assert f"column(s) {name} missing; add" in message
-
-
-@pytest.mark.parametrize(
-    ("name", "given"),
-    [
-        ("gps_x_m", "gps_x"),
-        ("gps_y_m", "GPS_Y_m"),
-        ("compass_rad", "psi_rad"),
-        ("delta_left_rad", "delta_left"),
-        ("n_right_rps", "n_rigth_rps"),
-        ("t_s", "time"),
-    ],
-)
-def test_misspelt_column_gets_a_suggestion(tmp_path: Path, name: str, given: str) -> None:
-    table = columns()
-    table[given] = table.pop(name)
-    assert f"rename {given} to {name}" in refused(save(tmp_path / "a.csv", table))
 
 
 def test_one_propeller_and_one_rudder_are_put_on_both_sides(tmp_path: Path) -> None:

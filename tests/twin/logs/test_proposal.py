@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_Z, GYRO_X, GYRO_Y
 from twin.cli.main import app
-from twin.logs.dates import date_formats
+from twin.logs.dates import date_formats, dates
 from twin.logs.errors import LogError
 from twin.logs.log import Log, recorded_runs
 from twin.logs.proposal.propose import propose
@@ -287,6 +287,14 @@ def test_swapped_latitude_and_longitude_are_refused(tmp_path: Path, run: Log) ->
 )
 def test_formats_of_dates_are_recognised(texts: list[str], formats: list[str]) -> None:
     assert [each.format for each in date_formats(texts)] == formats
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["20240503T093000", "2024-05-03T093000Z", "2024-05-03T09:30:00.0 Z", "2024-05- 3 9:30"],
+)
+def test_dates_of_iso_8601_may_lack_marks(text: str) -> None:
+    assert dates([text]) == datetime(2024, 5, 3, 9, 30, tzinfo=UTC).timestamp()
 
 
 def test_sides_of_shaft_speeds_are_no_yaw_rate(tmp_path: Path) -> None:

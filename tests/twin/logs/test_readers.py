@@ -250,7 +250,7 @@ def test_known_record_without_a_column_is_refused(tmp_path: Path) -> None:
     frame.drop("psi_rad").write_csv(tmp_path / "a.csv")
     assert "column(s) compass_rad missing; add" in refused(tmp_path / "a.csv")
     frame.drop("psi_rad", "n_rps").write_csv(tmp_path / "a.csv")
-    assert "rename x_m to gps_x_m" in refused(tmp_path / "a.csv")
+    assert "n_right_rps, gps_x_m, gps_y_m, compass_rad missing" in refused(tmp_path / "a.csv")
 
 
 # --- bags -------------------------------------------------------------------------------------

@@ -142,13 +142,3 @@ def test_degrees_and_minutes_in_one_number_are_named(tmp_path: Path, latitude: s
     assert "ddmm.mm" in result.output
     message = refusal(path)
     assert "ddmm.mm" in message and "plus the rest over 60" in message
-
-
-def test_one_of_two_sides_is_missed_when_left_out(tmp_path: Path) -> None:
-    head = HEAD.replace("rpm_left", "servo1").replace("rpm_right", "servo3")
-    path = write(tmp_path / "a.csv", [head, *rows([str(0.5 * k) for k in range(150)])])
-    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
-    mapping = tmp_path / "a.mapping.toml"
-    lines = [line for line in mapping.read_text().splitlines() if "n_right_rps" not in line]
-    mapping.write_text("\n".join(lines).replace("n_left_rps", "n_rps"))
-    assert any("servo1, servo3: left and right by their names" in n for n in Log.read(path).notes)

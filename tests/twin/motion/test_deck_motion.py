@@ -289,16 +289,6 @@ def test_tables_have_the_motion() -> None:
     assert rates == [now.roll_rate, now.pitch_rate, now.vertical_speed]
 
 
-def test_rates_of_a_forecast_are_the_slopes_of_its_means() -> None:
-    times = 3.0 + np.concatenate([[0.0], HORIZONS])
-    mean = np.sin(0.7 * times)[:, None] * np.array([1.0, 2.0, 3.0, 4.0])
-    motion = MotionForecast(3.0, times, mean, np.ones_like(mean), np.zeros(3))
-    after, step = np.array([0.0, 0.6, 2.2, 7.4, 9.9]), 1e-5
-    slopes = (motion.at(after + step)[0] - motion.at(after)[0]) / step
-    np.testing.assert_allclose(motion.rates_at(after), slopes, atol=1e-4)
-    assert not motion.rates_at([10.5, 60.0]).any()
-
-
 def test_a_saved_twin_goes_on_to_the_bit(tmp_path) -> None:
     log = sailed("zigzag", seconds=80.0)
     twin = Twin(BOAT, "ukf")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -66,16 +65,24 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
     found = Proposal()
     t = _time(columns, found, (order, zone))
     own = _own_names(columns, found)
-    fix = own.position(t) if own.has("gps_x_m") else find_position(columns, found, t)
-    if not own.has("gps_vx_mps") and not _velocity(columns, found, t, fix):
+    if "gps_x_m" not in own:
+        fix = find_position(columns, found, t)
+    elif t is None or "gps_y_m" not in own:
+        fix = None
+    else:
+        fix = clean(t, np.column_stack([own["gps_x_m"], own["gps_y_m"]]))
+    if "gps_vx_mps" not in own and not _velocity(columns, found, t, fix):
         _components(columns, found, t, fix)
-    heading = own.heading(t) if own.has("compass_rad") else _heading(columns, found, t, fix)
-    if not own.has("gyro_radps"):
+    if "compass_rad" not in own:
+        heading = _heading(columns, found, t, fix)
+    else:
+        heading = None if t is None else clean(t, own["compass_rad"])
+    if "gyro_radps" not in own:
         _gyro(columns, found, t, heading)
         if heading is None:
             _gyro_by_size(columns, found)
     _plain(columns, found)
-    find_commands(columns, found, own.values)
+    find_commands(columns, found, own)
     find_pulses(columns, found)
     text = [name for name in columns.left if name not in columns.numbers]
     plain = [name for name in columns.left if name in columns.numbers]
@@ -107,44 +114,26 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
     return time.seconds
 
 
-@dataclass
-class _Own:
-    """Columns that have the names of a log of this package, in SI units."""
-
-    values: dict[str, Array] = field(default_factory=dict)
-
-    def has(self, name: str) -> bool:
-        return name in self.values
-
-    def position(self, t: Array | None) -> tuple[Array, Array] | None:
-        if t is None or not self.has("gps_y_m"):
-            return None
-        return clean(t, np.column_stack([self.values["gps_x_m"], self.values["gps_y_m"]]))
-
-    def heading(self, t: Array | None) -> tuple[Array, Array] | None:
-        return None if t is None else clean(t, self.values["compass_rad"])
-
-
 _OTHER_NAMES = {"wind_true_mps": "wind_mps", "wind_true_from_rad": "wind_from_rad"}
 """Names of recorded data sets."""
 
 
-def _own_names(columns: Columns, found: Proposal) -> _Own:
-    """Take the columns that have the names of this package: as they are, or in degrees or rpm."""
-    own = _Own()
+def _own_names(columns: Columns, found: Proposal) -> dict[str, Array]:
+    """Take the columns that have the names of this package, and return their values in SI units."""
+    own: dict[str, Array] = {}
     degrees = _positions_in_degrees(columns)
     for name in [name for name in columns.left if name in columns.numbers]:
         if degrees and name in MEASUREMENTS[:2]:
             continue  # for [position]
         given = _OTHER_NAMES.get(name, name)
         target, factor = OTHER_UNITS.get(given, (given, 1.0))
-        if target in (*COMMANDS, *SINGLE, *MEASUREMENTS) and not own.has(target):
+        if target in (*COMMANDS, *SINGLE, *MEASUREMENTS) and target not in own:
             unit = "" if target == given else given.rpartition("_")[2]
-            own.values[target] = factor * columns.numbers[name]
+            own[target] = factor * columns.numbers[name]
             put(columns, found, target, name, unit)
     for one, other in (("gps_x_m", "gps_y_m"), ("gps_vx_mps", "gps_vy_mps")):
-        if own.has(one) != own.has(other):
-            found.missing.append(other if own.has(one) else one)
+        if (one in own) != (other in own):
+            found.missing.append(other if one in own else one)
     return own
 
 
