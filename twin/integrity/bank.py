@@ -15,10 +15,13 @@ position and heading: 2 sd^2 / T of a first-order Gauss-Markov process of the ti
 Samples are taken in epochs of :data:`EPOCH_S`: the mean of the samples of a sensor stands for them,
 at their mean age. The innovations of an epoch, divided by their standard deviations, are white with
 variance 1 if all sensors that the filter uses are sound. So their exponentially weighted mean m
-over a window gives a chi-square, |m|^2 / V, with V the sum of the squared weights. While all is
-sound it is learned how much more V is, as real errors are neither white nor those of the data
-sheet. A filter passes as long as no window of any sensor exceeds the chi-square that a sound one
+over a window gives a chi-square, N |m|^2, with N the effective number of samples. While all is
+sound it is learned how much more the means vary (their level), as real errors are neither white nor
+those of the data sheet. A filter passes as long as no window of any sensor exceeds the chi-square that a sound one
 exceeds with the probability :data:`FALSE_ALARM`.
+
+Without GPS the accelerations that the commands make (:mod:`twin.integrity.commands`) are one more
+aid: what the accelerometers measured more is their bias, with the variance learned before.
 
 Sources: Särkkä 2013, Bayesian Filtering and Smoothing, 5.2 (filter); Bar-Shalom, Li and Kirubarajan
 2001, Estimation with Applications to Tracking and Navigation, 5.4 (tests of innovations); Singer

@@ -13,8 +13,8 @@ and D. Evidence for it is the cumulative sum of its log-likelihood ratio to the 
 Student's t, each step weighed by the correlation of the residuals: waves last longer than a step.
 
 Without GPS, what the accelerometers measured stands for the change of the surge, and the surge of
-each hypothesis is that by its commands alone. Two witnesses help the bank there: which of gyro and
-compass turns as the commands say, and whether the accelerometers measure what the commands make.
+each hypothesis is that by its commands alone. The bank is told what accelerations the commands
+make, and which of gyro and compass turns as they say.
 
 Sources: Page 1954 (cumulative sum); Willsky and Jones 1976 (likelihood ratios of faults); Ljung
 1999, System Identification, 11.2 (recursive least squares); Bayley and Hammersley 1946 (effective

@@ -2,12 +2,13 @@
 
 As long as the filter in force passes its test, what it uses is sound. Where it fails, the smallest
 set is looked for whose filter passes without it: that of a single sensor before that of a device.
-If only one passes, it comes into force at once, else the best after :data:`DECIDE_S`. As no filter
-has seen what it leaves out, nothing has to be undone (solution separation).
+If only one passes, or one leads by likelihood, it comes into force after :data:`SINGLE_S`, else the
+best after :data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be undone
+(solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
-:data:`RETURN_S`. Where it fails and a GPS is left out, it begins next
-with the fix. If it passes for :data:`FRESH_S` then, dead reckoning had drifted.
+:data:`RETURN_S`. Where it fails and a GPS is left out, it begins next with the fix. If it passes
+for :data:`FRESH_S` then, dead reckoning had drifted.
 """
 
 from __future__ import annotations
