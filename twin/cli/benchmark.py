@@ -140,8 +140,8 @@ def benchmark_command(
     ship: Annotated[
         str | None,
         typer.Option(
-            help="Particulars for the recorded runs, as for identify. Several boats: a <log>.toml "
-            "beside each log."
+            help="Particulars for the recorded runs, as for identify. A file of [[ship]] tables "
+            "holds several boats, each with its logs."
         ),
     ] = None,
     mapping: MappingOption = None,
