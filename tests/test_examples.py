@@ -193,3 +193,17 @@ def test_episodes_become_a_minari_data_set(tmp_path, monkeypatch):
     assert data.total_episodes == 2 and first.infos["twin_ahead"].shape[1:] == (4, 6)
     obs, _info = data.recover_environment().reset(seed=0)
     np.testing.assert_array_equal(obs, first.observations[0])
+
+
+@pytest.mark.slow
+def test_the_fault_matrix_goes_on_from_what_it_kept(tmp_path):
+    script = str(ROOT / "examples/fault_matrix/run.py")
+    boat = ["--seeds", "100", "--vessels", "usv75", "--grades", "typical", "--rates", "5"]
+    command = [script, *boat, "--jobs", "1"]
+    table = run(command, tmp_path)
+    assert "| 5 Hz | " in table and "| 20 Hz | " not in table
+    (kept,) = (tmp_path / "fault_matrix_runs").iterdir()
+    content, written = kept.read_text(), kept.stat().st_mtime_ns
+    assert run(command, tmp_path) == table and kept.stat().st_mtime_ns == written
+    kept.write_text(content.replace('"key": [', '"key": ["another version", '))
+    assert run(command, tmp_path) == table and kept.read_text() == content

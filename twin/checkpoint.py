@@ -12,6 +12,7 @@ import io
 import json
 from collections import deque
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias
@@ -92,15 +93,20 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options of a predictor as plain JSON data; StateError names one that is none."""
-    plain = {}
-    for name, value in options.items():
-        plain[name] = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
-        if not isinstance(plain[name], (*_SCALARS, list)):
+
+    def plain(name: str, value: Any) -> Any:
+        if isinstance(value, (np.ndarray, np.generic)):
+            value = value.tolist()
+        if type(value) in (list, tuple):
+            return [plain(name, item) for item in value]
+        if not isinstance(value, _SCALARS):
             raise StateError(
                 f"option {name!r} is a {type(value).__name__}, which cannot be saved; hand the "
                 "predictor in as an object, and again to Twin.load(path, predictor=...)"
             )
-    return plain
+        return value
+
+    return {name: plain(name, value) for name, value in options.items()}
 
 
 def check_fields(
@@ -151,8 +157,11 @@ def without_prefix(prefix: str, state: Mapping[str, Any]) -> dict[str, Any]:
 
 def load_part(prefix: str, part: Any, state: Mapping[str, Any]) -> None:
     """Load the fields of one component; a message names them as the file does."""
+    own = without_prefix(prefix, state)
     try:
-        part.load_state_dict(without_prefix(prefix, state))
+        if hasattr(part, "named_parameters"):  # a module of torch
+            own = {name: import_module("torch").from_numpy(v) for name, v in own.items()}
+        part.load_state_dict(own)
     except StateError as error:
         raise StateError(str(error).replace("field '", f"field '{prefix}.", 1)) from None
     except (RuntimeError, TypeError, ValueError) as error:
@@ -166,15 +175,21 @@ def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
     """Return the attributes of an object as fields, but those to leave out.
 
     Saved are numbers, truth values, texts, None, and arrays of numbers. So are lists and deques of
-    numbers or of arrays of one shape, and objects with ``state_dict`` and ``load_state_dict``.
-    Functions, classes and modules are constants, and left out. A leading underscore is no part of a
-    field's name. StateError names an attribute of another kind.
+    numbers or of arrays of one shape, NumPy's default random generators, and objects with
+    ``state_dict`` and ``load_state_dict`` (torch modules too). Functions, classes and modules are
+    constants, and left out. A leading underscore is no part of a field's name. StateError names an
+    attribute of another kind.
     """
     state: State = {}
     for name, value in _attributes(owner, leave_out):
         key = name.lstrip("_")
         if _is_part(value):
-            state |= with_prefix(key, value.state_dict())
+            found = value.state_dict()
+            if hasattr(value, "named_parameters"):  # a module of torch
+                found = {name: tensor.numpy(force=True) for name, tensor in found.items()}
+            state |= with_prefix(key, found)
+        elif _is_generator(value):
+            state[key] = json.dumps(value.bit_generator.state)
         elif isinstance(value, np.generic):
             state[key] = value.item()
         elif isinstance(value, _SCALARS):
@@ -211,6 +226,10 @@ def restore_attributes(owner: Any, state: Mapping[str, Any], leave_out: Iterable
         problem = _other_kind(found, value)
         if problem is not None:
             raise StateError(f"field {key!r} {problem}; {_SAME}")
+        if _is_generator(value):
+            bits = np.random.PCG64()
+            bits.state = json.loads(found)
+            found = np.random.Generator(bits)
         if isinstance(value, (list, deque)) and found is not None:
             found = found.tolist() if found.ndim == 1 else [row.copy() for row in found]
             found = deque(found, value.maxlen) if isinstance(value, deque) else found
@@ -230,7 +249,7 @@ def _other_kind(found: Any, present: Any) -> str | None:
         return None
     if isinstance(present, (list, deque)):
         same = isinstance(found, np.ndarray) and found.ndim > 0
-    elif isinstance(present, str):
+    elif isinstance(present, (str, np.random.Generator)):
         same = isinstance(found, str)
     else:
         one, other = np.asarray(found), np.asarray(present)
@@ -256,6 +275,11 @@ def _is_constant(value: Any) -> bool:
 
 def _is_part(value: Any) -> bool:
     return hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
+
+
+def _is_generator(value: Any) -> bool:
+    """Return whether a value is a generator as of ``np.random.default_rng``."""
+    return isinstance(value, np.random.Generator) and type(value.bit_generator) is np.random.PCG64
 
 
 def _is_stackable(values: Any) -> bool:

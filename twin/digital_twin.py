@@ -163,7 +163,8 @@ class Twin:
         ------
         StateError
             The predictor or its options hold something that cannot be saved: options are numbers,
-            texts and arrays of numbers. Hand in a predictor with others as an object.
+            texts, arrays of numbers, and lists of those. Hand in a predictor with others as an
+            object.
         """
         state = self.predictor.state_dict()
         kept = {name: value for name, value in state.items() if isinstance(value, np.ndarray)}

@@ -54,6 +54,9 @@ ANGLE_SD_MAX = 1.0
 OFF_BOAT, OFF_BOAT_MIN = 2.0, 10.0
 """Nothing on board is farther from the origin than so many lengths, and so many m at least."""
 
+NARROW = 0.6
+"""Two hulls that are narrower together than so much of the stated beam contradict it."""
+
 BLOCK_LEAST, BLOCK_MOST = 0.02, 1.1
 """Mass over that of the water in a box of length, beam and draft, at least and at most."""
 
@@ -77,7 +80,7 @@ class ParticularsError(UsvTwinError):
 
 _MAY_BE_ZERO = (
     *("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "height_bias_sd", "tilt_sd"),
-    *("gps_latency", "compass_latency", "ahrs_latency"),
+    *("gps_latency", "compass_latency", "ahrs_latency", "hull_beam", "spacing"),
 )
 """The other numbers are above 0."""
 
@@ -277,6 +280,11 @@ class Particulars:
     design : str
         The boat's class, one of :data:`DESIGNS`, or empty. The prior of a class tells
         ``dsw-ukf-plus`` more than main particulars do: see :mod:`twin.model.priors`.
+    hulls : int
+        1, or 2 of a catamaran. Two hulls are no tanker; nothing else in the twin depends on it.
+    hull_beam, spacing : float
+        Of a catamaran, m: beam of each hull, and distance of their centre lines; 0 where unknown.
+        They are checked against beam and mass, and change no result: no prior knows them.
     instruments : Instruments
         Sensors on board.
     deck : Deck
@@ -298,6 +306,9 @@ class Particulars:
     steer_lag: float = 0.1
     steer_rate: float = 0.35
     design: str = ""
+    hulls: int = 1
+    hull_beam: float = 0.0
+    spacing: float = 0.0
     instruments: Instruments = field(default_factory=Instruments)
     deck: Deck = field(default_factory=Deck)
     prior: BoatPrior | None = None
@@ -309,6 +320,7 @@ class Particulars:
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
             )
         self._check_dimensions()
+        self._check_hulls()
         self._check_places()
         if self.design != "" and self.design not in DESIGNS:
             raise ParticularsError(
@@ -359,8 +371,34 @@ class Particulars:
                 f"{least:.2g} to {most:.2g} kg; correct one of them"
             )
 
+    def _check_hulls(self) -> None:
+        """Refuse hulls that contradict each other or the mass."""
+        if self.hulls not in (1, 2):
+            raise ParticularsError(f"hulls = {self.hulls:g} must be 1, or 2 of a catamaran")
+        object.__setattr__(self, "hulls", int(self.hulls))
+        if self.hulls == 1 and (self.hull_beam or self.spacing):
+            raise ParticularsError("hull_beam and spacing are of a catamaran; add hulls = 2")
+        wide = self.hull_beam + (self.spacing or self.hull_beam)
+        if self.hulls == 2 and (wide > 1.01 * self.beam or 0.0 < self.spacing < self.hull_beam):
+            raise ParticularsError(
+                f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls must not "
+                f"overlap, and must lie within the beam of {self.beam:g} m"
+            )
+        if self.hull_beam and self.spacing and wide < NARROW * self.beam:
+            raise ParticularsError(
+                f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls are "
+                f"{wide:g} m wide together, and the beam over both is {self.beam:g} m; spacing is "
+                "from centre line to centre line; correct one of them"
+            )
+        box = SEA_WATER * self.length * self.draft * 2.0 * self.hull_beam
+        if 0.0 < box < self.mass:
+            raise ParticularsError(
+                f"mass = {self.mass:g} kg is more than two hulls of hull_beam = {self.hull_beam:g} "
+                f"m can carry at this length and draft ({box:.4g} kg); correct one of them"
+            )
+
     @classmethod
-    def load(cls, path: str | Path) -> Particulars:
+    def load(cls, path: str | Path, log: str | Path | None = None) -> Particulars:
         """Read particulars from a TOML file.
 
         Parameters
@@ -368,7 +406,11 @@ class Particulars:
         path : str or Path
             File with a table ``[particulars]`` and, if wished, ``[instruments]`` and ``[deck]``;
             the keys are the fields of :class:`Particulars`, :class:`Instruments` and
-            :class:`Deck`, in SI units.
+            :class:`Deck`, in SI units. A file of several boats has ``[[ship]]`` for each, with the
+            patterns of its logs (``logs = ["my_folder/*"]``, matched from the end of a path) and
+            the tables ``[ship.particulars]`` and so on.
+        log : str or Path, optional
+            Log whose boat is wanted, in a file of several.
 
         Returns
         -------
@@ -382,6 +424,8 @@ class Particulars:
         path = Path(path)
         table = read_toml(path, ParticularsError)
         try:
+            if "ship" in table:
+                table = _ship_of(table, log)
             unknown = set(table) - {"particulars", "instruments", "deck"}
             if "hull" in unknown:
                 raise ParticularsError(VESSEL_FILE)
@@ -399,14 +443,14 @@ class Particulars:
             raise ParticularsError(f"{path}: {error}") from None
 
     @classmethod
-    def from_tables(cls, particulars: Any, instruments: Any, deck: Any) -> Particulars:
+    def from_tables(cls, particulars: Any, instruments: Any, deck: Any = None) -> Particulars:
         """Return particulars from plain tables of values by field name, in SI units.
 
         ``prior`` may be a :class:`BoatPrior` or a table of its fields. ParticularsError names key
         and remedy.
         """
         on_board = Instruments(**_known(Instruments, instruments))
-        quiet = Deck(**_known(Deck, deck))
+        quiet = Deck(**_known(Deck, {} if deck is None else deck))
         about = dict(_known(cls, particulars))
         prior = about.pop("prior", None)
         if prior is not None and not isinstance(prior, BoatPrior):
@@ -428,13 +472,14 @@ class Particulars:
         """Whether it is a slow ship of full form, which has one propeller and one rudder."""
         box = SEA_WATER * self.length * self.beam * self.draft
         full = FULL_FORM * box <= self.mass <= box  # a hull cannot fill more than the box around it
-        return self.steering == "drives" and self.froude <= FAST and full
+        return self.hulls == 1 and self.steering == "drives" and self.froude <= FAST and full
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""
         lines = ["# Main particulars for the twin, SI units.", "[particulars]"]
         for item in dataclasses.fields(self):
-            if item.name not in ("instruments", "deck", "prior"):
+            hull = item.name in ("hulls", "hull_beam", "spacing")
+            if item.name not in ("instruments", "deck", "prior") and not (hull and self.hulls == 1):
                 value = getattr(self, item.name)
                 # A JSON string is a TOML string, quotes and all.
                 is_text = isinstance(value, str)
@@ -460,6 +505,30 @@ VESSEL_FILE = (
     "twin.sim.bridge.particulars_of(usv_gym.Vessel.load(path))"
 )
 """Said of a file of ``usv-twin vessel new``; the twin on board does not import the simulator."""
+
+
+def _ship_of(table: dict[str, Any], log: str | Path | None) -> dict[str, Any]:
+    """Return the tables of the first ship whose patterns a log matches."""
+    ships = table["ship"]
+    sound = isinstance(ships, list) and all(
+        isinstance(ship, dict)
+        and isinstance(ship.get("logs"), list)
+        and all(isinstance(pattern, str) for pattern in ship["logs"])
+        for ship in ships
+    )
+    if len(table) > 1 or not sound:
+        raise ParticularsError(
+            'expected only [[ship]], each with logs = ["pattern"], [ship.particulars] and, if '
+            "wished, [ship.instruments]"
+        )
+    if log is None:
+        raise ParticularsError("is of several ships, and no log says which; give a file of one")
+    where = Path(log).absolute()
+    for ship in ships:
+        if any(where.match(pattern) for pattern in ship["logs"]):
+            return {key: value for key, value in ship.items() if key != "logs"}
+    known = ", ".join(pattern for ship in ships for pattern in ship["logs"])
+    raise ParticularsError(f"no ship has the log {log}; logs are: {known}")
 
 
 def _known(kind: type, table: Any) -> dict[str, Any]:

@@ -9,24 +9,33 @@ from __future__ import annotations
 import argparse
 import copy
 import dataclasses
+import hashlib
 import math
 import os
+import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from twin import Log, Twin, known_plan
 from twin.benchmark.loading import with_faults
+from twin.benchmark.sources import predictor_digest, versions
+from twin.files import keep, kept
 from twin.integrity.state import SENSORS
 from twin.parallel import results_of
+from twin.predictors.registry import base_name
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import THRUSTERS, Fault, parse_faults
 from usv_gym.world.simulation import Simulation
+from usv_kernel.cache import running_program
 
 Array = NDArray[np.float64]
 
@@ -424,20 +433,65 @@ def _details(runs: Sequence[FaultRun]) -> list[str]:
     return lines
 
 
+def sail_unit(unit: Unit, file: Path, key: object) -> None:
+    """Sail the runs of a unit, and keep what they show."""
+    keep(file, key, [list(run) for run in _runs(unit)])
+
+
+def runs_of(file: Path, key: object) -> list[FaultRun] | None:
+    """Return the kept runs of a unit; None where there are none of this program."""
+    found = kept(file, key)
+    return found and [FaultRun(*run)._replace(left_out=tuple(run[8])) for run in found]
+
+
+def file_of(folder: Path, unit: Unit) -> Path:
+    """Return the file of a unit's runs; no two units share one."""
+    return folder / f"{quote('_'.join(map(str, unit)), safe='')}.json"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--predictors", nargs="+", default=["ukf"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[100, 101])
+    parser.add_argument("--vessels", nargs="+", choices=VESSELS, default=VESSELS)
+    parser.add_argument("--grades", nargs="+", choices=GRADES, default=GRADES)
+    parser.add_argument(
+        "--rates", nargs="+", type=int, choices=COMPASS_RATE_HZ, default=list(COMPASS_RATE_HZ),
+        help="rates of the GPS, Hz",
+    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=Path("fault_matrix.md"))
     asked = parser.parse_args()
-    units = matrix_units(asked.predictors, asked.seeds)
-    found: dict[int, list[FaultRun]] = {}
-    for k, results in results_of([partial(_runs, unit) for unit in units], jobs=asked.jobs):
-        found[k] = results
-        print(f"{len(found)} of {len(units)} boats", flush=True)
-    # by seed and boat, whichever process was first
-    text = "\n".join(tables([run for k in sorted(found) for run in found[k]]))
+    units = [
+        unit
+        for unit in matrix_units(asked.predictors, asked.seeds)
+        if unit.vessel in asked.vessels
+        and unit.grade in asked.grades
+        and unit.gps_rate_hz in asked.rates
+    ]
+    folder = asked.out.with_name(f"{asked.out.stem}_runs")
+    folder.mkdir(parents=True, exist_ok=True)
+    script = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    keys = {
+        name: [running_program(), script, versions(base_name(name)), predictor_digest(name)]
+        for name in asked.predictors
+    }
+    places = [(file_of(folder, unit), keys[unit.predictor]) for unit in units]
+    calls = [
+        partial(sail_unit, unit, *place)
+        for unit, place in zip(units, places, strict=True)
+        if runs_of(*place) is None
+    ]
+    screen = Console(stderr=True)
+    screen.print(f"{len(units) - len(calls)} of {len(units)} boats are in {folder}")
+    try:
+        for _ in track(
+            results_of(calls, jobs=asked.jobs), "fault matrix", len(calls), console=screen
+        ):
+            pass
+    except KeyboardInterrupt:
+        sys.exit(f"stopped: {folder} has what is finished; the same command goes on")
+    text = "\n".join(tables([run for place in places for run in runs_of(*place) or ()]))
     asked.out.write_text(text, encoding="utf-8")
     print(text)
 

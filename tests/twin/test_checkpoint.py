@@ -17,6 +17,8 @@ import twin
 from twin import Prediction, Predictor, StateError, Twin, make_predictor
 from twin.files import ARCHIVE_MAX
 from twin.logs.log import Log
+from twin.model.dynamics import model_of
+from twin.model.priors import population_prior
 from twin.predictors.baselines import Persistence
 from twin.predictors.ukf import UKFPredictor
 from usv_gym import SeaState
@@ -111,6 +113,17 @@ def test_options_and_particulars_are_restored(boat, losses, tmp_path, name, opti
     same(twin, again)
 
 
+def test_a_prior_given_as_option_is_restored(boat, losses, tmp_path):
+    structure = model_of(boat, "mmg", biased=True, current=True)
+    mean, covariance = population_prior(structure, boat)
+    twin = Twin(boat, "dsw-ukf-plus", prior=(mean, 2.0 * covariance))
+    twin.save(tmp_path / "a")
+    again = Twin.load(tmp_path / "a")
+    for one in (twin, again):
+        feed(one, losses, 0, 100)
+    same(twin, again)
+
+
 def test_an_option_that_cannot_be_saved_is_named_with_the_remedy(boat, losses, tmp_path):
     sea = SeaState(hs=0.5, wind=4.5)
     twin = Twin(boat, "oracle", sea=sea)
@@ -140,6 +153,7 @@ class Everything(Predictor):
         self.x, self.mask, self.count = np.zeros(3), np.array([True, False]), 0
         self.name, self.fitted, self.error = "start", None, math.nan
         self.numbers, self._rows = [], deque(maxlen=3)
+        self.rng = np.random.default_rng(self.seed)
         self.single = np.float64(0.5)
 
     def update(self, t, dt, z, cmd):
@@ -147,7 +161,7 @@ class Everything(Predictor):
         self.fitted = np.eye(2) * t
         self.numbers.append(self.count)
         self._rows.append(np.array([t, dt]))
-        self.error = 0.1 * self.count
+        self.error = self.rng.normal()
 
     @property
     def state(self):
@@ -176,11 +190,10 @@ def test_attributes_of_a_predictor_given_as_object_are_restored(boat, tmp_path):
         np.testing.assert_array_equal(getattr(one.predictor, key), getattr(other, key))
     np.testing.assert_array_equal(list(other._rows), list(one.predictor._rows))
     assert other._rows.maxlen == 3 and type(other.numbers) is list and other.numbers[0] == 1
+    assert other.rng.normal() == one.predictor.rng.normal()
 
 
-@pytest.mark.parametrize(
-    "value", [{"a": 1}, [1, "a"], 1j, (1, 2), np.array([object()]), np.random.default_rng(0)]
-)
+@pytest.mark.parametrize("value", [{"a": 1}, [1, "a"], 1j, (1, 2), np.array([object()])])
 def test_attribute_that_cannot_be_saved_is_named(boat, tmp_path, value):
     predictor = Everything(boat)
     predictor.extra = value
@@ -188,6 +201,17 @@ def test_attribute_that_cannot_be_saved_is_named(boat, tmp_path, value):
     with pytest.raises(StateError, match="extra"):
         Twin(boat, predictor).save(tmp_path / "a")
     assert (tmp_path / "a").read_text() == "before"
+
+
+def test_torch_modules_are_restored(boat):
+    torch = pytest.importorskip("torch")
+    one, other = Everything(boat), Everything(boat)
+    one.net, other.net = torch.nn.Linear(3, 2), torch.nn.Linear(3, 2)
+    other.load_state_dict(one.state_dict())
+    assert torch.equal(one.net.weight, other.net.weight)
+    other.net = torch.nn.GRU(3, 2)
+    with pytest.raises(StateError, match="net"):
+        other.load_state_dict(one.state_dict())
 
 
 # Files

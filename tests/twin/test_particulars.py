@@ -256,3 +256,49 @@ def test_files_without_particulars_are_refused(tmp_path: Path) -> None:
         Particulars.load(path)
     with pytest.raises(ParticularsError, match="cannot be read"):
         Particulars.load(tmp_path / "absent.toml")
+
+
+def test_file_of_several_ships_is_matched_by_log(tmp_path):
+    boats = [
+        dataclasses.replace(BOAT, name=name, length=length)
+        for name, length in (("a", 3.0), ("b", 7.0))
+    ]
+    text = ""
+    for boat, patterns in zip(boats, ('["first/*"]', '["second/x*", "third.csv"]'), strict=True):
+        body = boat.to_toml().replace("[particulars]", "[ship.particulars]")
+        text += (
+            f"[[ship]]\nlogs = {patterns}\n{body.replace('[instruments]', '[ship.instruments]')}\n"
+        )
+    path = tmp_path / "ships.toml"
+    path.write_text(text)
+    for log, boat in (("first/run.csv", 0), ("/data/second/xy.csv.gz", 1), ("third.csv", 1)):
+        assert Particulars.load(path, log=log) == boats[boat]
+    with pytest.raises(ParticularsError, match=r"ships.toml: no ship has the log second/run.csv"):
+        Particulars.load(path, log="second/run.csv")
+    with pytest.raises(ParticularsError, match="several ships, and no log says which"):
+        Particulars.load(path)
+    for wrong in (text.replace("logs", "log", 1), "a = 1\n" + text, "ship = 3\n"):
+        path.write_text(wrong)
+        with pytest.raises(ParticularsError, match=r"expected only \[\[ship\]\]"):
+            Particulars.load(path, log="first/run.csv")
+
+
+def test_catamarans_are_checked_and_survive_their_file(tmp_path):
+    cat = dataclasses.replace(
+        BOAT, steering="differential", hulls=2, hull_beam=0.5, spacing=1.9, mass=1500.0
+    )
+    path = tmp_path / "cat.toml"
+    path.write_text(cat.to_toml(), encoding="utf-8")
+    assert Particulars.load(path) == cat
+    assert "hulls" not in BOAT.to_toml()
+    for change, words in (
+        ({"hulls": 3}, "hulls = 3 must be 1, or 2"),
+        ({"hulls": 1}, "add hulls = 2"),
+        ({"spacing": 2.3}, "within the beam of 2.5"),
+        ({"spacing": 0.4}, "must not overlap"),
+        ({"spacing": 0.6}, "hulls are 1.1 m wide together, and the beam over both is 2.5"),
+        ({"hull_beam": -0.5}, "hull_beam = -0.5 must be 0 or more"),
+        ({"mass": 4000.0}, "mass = 4000 kg is more than two hulls"),
+    ):
+        with pytest.raises(ParticularsError, match=words):
+            dataclasses.replace(cat, **change)

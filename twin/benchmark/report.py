@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin.benchmark.figures.data import RunFigure, example_times, reference_of
-from twin.benchmark.figures.results import verdict_figure
+from twin.benchmark.figures.results import growth_figure, verdict_figure
 from twin.benchmark.figures.runs import prediction_figure, track_figure
 from twin.benchmark.figures.style import Styles, picture_bytes, predictor_styles
 from twin.benchmark.metrics import METRICS
@@ -32,6 +32,9 @@ __all__ = [
 ]
 
 Row = Mapping[str, Any]
+
+DRAWN_CASES_MAX = 8
+"""Of more cases than these, the errors against the horizon are not drawn."""
 
 CHANNEL_METRICS = ("coverage90", "mae", "crps")
 """Metrics with a table by channel and horizon."""
@@ -96,7 +99,7 @@ def write_report(
         "faults": sorted({row["fault"] for row in rows} - {"none"}),
         "loss_ends": results.get("losses", ()),
         **_motion(results),
-        "cases": _cases(results),
+        "cases": _cases(results, pictures),
         "metrics": METRICS,
         "settings": {key: _text(value) for key, value in results.get("settings", {}).items()},
         "version": results.get("version", ""),
@@ -175,8 +178,8 @@ def _motion(results: Row) -> dict[str, Any]:
     }
 
 
-def _cases(results: Row) -> list[dict[str, Any]]:
-    """Return tables for each scenario and case."""
+def _cases(results: Row, pictures: Pictures) -> list[dict[str, Any]]:
+    """Return tables, and a picture of the errors, for each scenario and case."""
     parts = {
         part: grouped(results.get(part, ()), "scenario", "case")
         for part in ("summary", "paired", "channels")
@@ -188,6 +191,9 @@ def _cases(results: Row) -> list[dict[str, Any]]:
         title = f"{scenario}, {case}" if case != "none" else f"{scenario}, no fault"
         there = {row["metric"] for row in summary}
         metrics = [metric for metric in METRICS if metric in there]
+        few = len(parts["summary"]) <= DRAWN_CASES_MAX
+        figure = growth_figure(title, channels, pictures.styles) if few else None
+        caption = "Mean absolute error against the horizon, mean over seeds, with the first plan."
         cases.append(
             {
                 "title": title,
@@ -205,6 +211,9 @@ def _cases(results: Row) -> list[dict[str, Any]]:
                 "channels": {metric: _by_channel(metric, channels) for metric in CHANNEL_METRICS}
                 if channels
                 else {},
+                "pictures": [pictures.add(figure, f"{scenario}_{case}_error", caption)]
+                if figure
+                else [],
             }
         )
     return cases

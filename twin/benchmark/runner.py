@@ -302,14 +302,15 @@ def runs(
     folder: Path,
     *,
     jobs: int = 1,
+    backend: str = "loky",
     done: Mapping[Unit, dict[str, Any]] | None = None,
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
     A worker takes a run, which is simulated or read once, or where there are fewer runs than
-    workers single predictors. The results do not depend on ``jobs``. After an error (a log that
-    cannot be read, say) the rest goes on. ``done`` are the results to reuse, if not those of
-    :func:`reusable`; none computes all again.
+    workers single predictors. The results do not depend on ``jobs`` and ``backend`` (one of
+    ``twin.parallel.BACKENDS``). After an error (a log that cannot be read, say) the rest goes on.
+    ``done`` are the results to reuse, if not those of :func:`reusable`; none computes all again.
     """
     todo: dict[tuple[str, ...], list[Unit]] = {}
     done = reusable(settings, folder) if done is None else done
@@ -325,7 +326,7 @@ def runs(
     if len(tasks) < jobs:
         tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for result in results_of(calls, jobs=jobs):
+    for result in results_of(calls, jobs=jobs, backend=backend):
         yield from result[1]
 
 
@@ -427,10 +428,10 @@ def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, floa
     ]
 
 
-def warm_up(settings: Settings, *, jobs: int = 1) -> None:
+def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
     boat = Vessel.load(settings.vessel), settings.sea(), settings.dof
-    compile_kernels(boat, settings.predictors, jobs=jobs)
+    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -52,6 +52,7 @@ from twin.files import compressed_csv, results_text
 from twin.logs.errors import LogError
 from twin.logs.log import recorded_runs
 from twin.logs.rosbag import is_bag
+from twin.parallel import BACKENDS, check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
@@ -139,8 +140,8 @@ def benchmark_command(
     ship: Annotated[
         str | None,
         typer.Option(
-            help="Particulars for the recorded runs, as for identify. Several boats: a <log>.toml "
-            "beside each log."
+            help="Particulars for the recorded runs, as for identify. A file of [[ship]] tables "
+            "holds several boats, each with its logs."
         ),
     ] = None,
     mapping: MappingOption = None,
@@ -164,6 +165,9 @@ def benchmark_command(
         ),
     ] = False,
     jobs: JobsOption = CPUS,
+    backend: Annotated[
+        str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
+    ] = "loky",
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
@@ -186,6 +190,7 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
+    check_backend(backend)
     names, notes = available(parse_predictors(predictors))
     if not names:
         raise PredictorError("; ".join(notes))
@@ -232,7 +237,7 @@ def benchmark_command(
     for line in notes:  # the verdict comes first on the standard output
         errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
-    done, failed = _run_all(settings, out, jobs, fresh)
+    done, failed = _run_all(settings, out, jobs, backend, fresh)
     reasons = [*missing.items(), *((unit.log or unit.run, why) for unit, why in failed.items())]
     said = (why if run in why else f"{run}: {why}" for run, why in reasons)
     not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
@@ -315,7 +320,7 @@ def _check(name: str) -> None:
 
 
 def _run_all(
-    settings: Settings, out: Path, jobs: int, fresh: bool
+    settings: Settings, out: Path, jobs: int, backend: str, fresh: bool
 ) -> tuple[dict[Unit, dict[str, Any]], dict[Unit, str]]:
     """Do all work under a progress bar, and return results and errors; Ctrl-C ends it early."""
     done: dict[Unit, dict[str, Any]] = {}
@@ -326,14 +331,14 @@ def _run_all(
         # not on the standard output, which begins with the results
         errors.print(f"{len(reused)} of {len(work)} results reused", highlight=False)
         if len(reused) < len(work):
-            runner.warm_up(settings, jobs=jobs)
+            runner.warm_up(settings, jobs=jobs, backend=backend)
         # one estimate over many runs, as each comes with all its predictors at a time
         columns = TimeRemainingColumn()
         with progress_bar(
             columns, transient=True, console=errors, speed_estimate_period=600.0
         ) as progress:
             bar = progress.add_task("benchmark", total=len(work))
-            for unit, result in runner.runs(settings, out, jobs=jobs, done=reused):
+            for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):
                     failed[unit] = str(result)
                 else:

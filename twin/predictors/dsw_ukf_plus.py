@@ -166,9 +166,8 @@ class PlusPredictor(UKFPredictor):
                 f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
         structure = model_of(particulars, model, biased=True, current=True)
-        mean, cov = prior or boat_or(
-            population_prior(structure, particulars), structure, particulars
-        )
+        own = prior or boat_or(population_prior(structure, particulars), structure, particulars)
+        mean, cov = map(np.asarray, own)
         p = len(structure)
         if np.shape(mean) != (p,) or np.shape(cov) != (p, p):
             raise UsvTwinError(

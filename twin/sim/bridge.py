@@ -87,6 +87,9 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
         # a fixed pair has no drives to turn
         steer_lag=v.get("steer_lag", 0.1),
         steer_rate=v.get("steer_rate", 1.0),
+        hulls=2 if "hull_beam" in v else 1,
+        hull_beam=v.get("hull_beam", 0.0),
+        spacing=v.get("spacing", 0.0),
         design=vessel.design if vessel.design in DESIGNS else "",
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),

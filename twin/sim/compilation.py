@@ -32,13 +32,15 @@ Boat = tuple[Vessel, SeaState, int]
 """A vessel, its sea and its degrees of freedom."""
 
 
-def compile_kernels(boat: Boat, predictors: Sequence[str], *, jobs: int = 1) -> None:
+def compile_kernels(
+    boat: Boat, predictors: Sequence[str], *, jobs: int = 1, backend: str = "loky"
+) -> None:
     """Compile the kernels of simulator, twin and predictors, and keep them on disk.
 
-    With two or more ``jobs`` two processes share the work, and the message that kernels compile
-    comes from here: workers are silent.
+    With two or more ``jobs`` on this machine (``loky``) two processes share the work, and the
+    message that kernels compile comes from here: workers are silent.
     """
-    if jobs < 2 or SLOW not in predictors:
+    if backend != "loky" or jobs < 2 or SLOW not in predictors:
         _compile_for(boat, predictors)
         return
     if not cached() and not os.environ.get(QUIET):

@@ -56,8 +56,9 @@ def particulars_for_log(
     """Return the particulars for a log.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of a boat
-    that is known by the columns of the log. ``ship`` is a TOML file of particulars, or the name or
-    file of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
+    that is known by the columns of the log. ``ship`` is a TOML file of particulars, of one boat or
+    several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`). Or it is the name or file
+    of a vessel of ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError,
     VesselError: file and remedy; a log without particulars is such an error.
 
     A vessel that an autopilot's log is of gets the log's unit of shaft speed, and the places of
@@ -77,8 +78,9 @@ def particulars_for_log(
         )
     ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
-    if "[hull]" not in text and ("[particulars]" in text or ship == str(file)):
-        return Particulars.load(ship)
+    of_boat = "[[ship]]" in text or "[particulars]" in text or ship == str(file)
+    if of_boat and "[hull]" not in text:
+        return Particulars.load(ship, log=path)
     vessel = Vessel.load(ship)
     if not is_autopilot_log(Path(path)):
         return particulars_of(vessel)

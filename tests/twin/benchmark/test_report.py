@@ -12,7 +12,7 @@ import pytest
 
 from twin import PREDICTORS
 from twin.benchmark.figures.data import RunFigure, reference_of
-from twin.benchmark.figures.results import verdict_figure
+from twin.benchmark.figures.results import growth_figure, verdict_figure
 from twin.benchmark.figures.runs import panel_limits
 from twin.benchmark.figures.style import STYLES, predictor_styles
 from twin.benchmark.report import write_report
@@ -116,7 +116,7 @@ def whole(tmp_path_factory):
     pair |= {"low": -20.0, "high": -3.0, "wins": 5, "seeds": 6}
     channels = [
         {**here, "channel": c, "horizon_s": h, "coverage90": 0.9 - 0.01 * h, "mae": h}
-        for c in ("u", "displacement")
+        for c in ("u", "displacement", "psi")
         for h in (1.0, 10.0)
     ]
     motion = [
@@ -146,9 +146,9 @@ def test_report_is_complete_and_self_contained(whole):
     report, *pictures = whole
     base = "turn_gps10_seed0_"
     stems = {path.stem for path in pictures}
-    assert {"verdict", base + "track", base + "prediction1"} <= stems
+    assert {"verdict", "turn_gps10_error", base + "track", base + "prediction1"} <= stems
     assert "zigzag_none_seed0_track" in stems
-    assert len(set(pictures)) == 9
+    assert len(set(pictures)) == 10
     for path in pictures:
         assert path.parent == report.parent / "pictures"
         assert ET.fromstring(path.read_text(encoding="utf-8")).tag.endswith("}svg")
@@ -194,15 +194,20 @@ def test_line_styles_differ_without_colours():
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-300, 1.0, 1.7e308, math.inf])
-def test_the_picture_of_absurd_errors_has_limits(value):
+def test_pictures_of_absurd_errors_have_limits(value):
     verdict = [
         {"predictor": name, "loss": "none", "position_m": size, "heading_deg": 1.0}
         for name, size in (("persistence", 1.0), ("ukf", value))
     ]
-    picture = verdict_figure(verdict, predictor_styles(("persistence", "ukf")))
-    picture.draw_without_rendering()
-    for ax in picture.axes:
-        assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
+    growth = [
+        {"predictor": "ukf", "plan": "known", "channel": "psi", "horizon_s": h, "mae": size}
+        for h, size in ((1.0, 0.1), (10.0, value))
+    ]
+    styles = predictor_styles(("persistence", "ukf"))
+    for picture in (verdict_figure(verdict, styles), growth_figure("turn", growth, styles)):
+        picture.draw_without_rendering()
+        for ax in picture.axes:
+            assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
 
 
 @pytest.mark.parametrize("factor", [1e300, math.inf])

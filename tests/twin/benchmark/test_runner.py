@@ -26,6 +26,7 @@ from twin.benchmark.protocol import (
     units,
 )
 from twin.logs.log import Log, recorded_runs
+from twin.parallel import BACKENDS
 from twin.particulars import ParticularsError
 from twin.predictors.baselines import Persistence
 from twin.predictors.registry import PREDICTORS, PredictorError
@@ -46,9 +47,9 @@ SMALL = Settings(
 )
 
 
-def run_all(settings, folder, jobs=1):
+def run_all(settings, folder, jobs=1, backend="loky"):
     done = {}
-    for unit, result in bench.runs(settings, folder, jobs=jobs):
+    for unit, result in bench.runs(settings, folder, jobs=jobs, backend=backend):
         assert not isinstance(result, Exception), result
         done[unit] = result
     return bench.collect(settings, done, "test")
@@ -174,8 +175,10 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     )
 
 
-def test_two_workers_change_nothing(small, tmp_path):
-    assert run_all(SMALL, tmp_path, 2) == small[1]
+@pytest.mark.parametrize("backend", ["loky", "threading", "dask", "ray"])
+def test_workers_change_nothing(small, tmp_path, backend):
+    pytest.importorskip(BACKENDS[backend], reason=f"{backend} is not installed")
+    assert run_all(SMALL, tmp_path, 2, backend) == small[1]
 
 
 def test_written_logs_can_be_read_back(small):

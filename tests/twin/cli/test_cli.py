@@ -225,6 +225,7 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("benchmark --cases base", ["--full"]),
         ("benchmark --full --cases storm", ["storm", "gps30", "sea4"]),
         ("benchmark --full --faults none", ["--cases"]),
+        ("benchmark --backend mpi", ["mpi", "loky", "dask"]),
         ("benchmark --predictors no_body:Mine", ["no_body:Mine", "working directory"]),
         ("benchmark --log none.csv", ["none.csv", "no such file"]),
         ("benchmark --log /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),

@@ -1,7 +1,8 @@
-"""The picture of results: errors after 10 s as bars."""
+"""Pictures of results: errors after 10 s as bars, errors against the horizon."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from twin.benchmark.figures.style import (
     Styles,
     new_figure,
     patch,
+    predictor_entries,
     set_title,
 )
 from twin.benchmark.verdict.tables import number_of
@@ -20,7 +22,7 @@ from twin.benchmark.verdict.tables import number_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["verdict_figure"]
+__all__ = ["growth_figure", "verdict_figure"]
 
 ERRORS = {"position_m": "position after 10 s (m)", "heading_deg": "heading after 10 s (deg)"}
 """Title of each panel of the bars."""
@@ -30,6 +32,12 @@ LOSSES = {"none": ("without a loss", 0.95), "any": ("with a loss", 0.45)}
 
 LONGEST_BAR = 1e6
 """Longer bars cannot be drawn."""
+
+CHANNELS = {
+    "displacement": ("position (m)", 1.0),
+    "psi": ("heading (deg)", 180.0 / math.pi),
+}
+"""Title and factor of each panel of the errors against the horizon."""
 
 Row = Mapping[str, Any]
 
@@ -77,3 +85,33 @@ def _limit(rows: Sequence[Row], panel: str) -> float:
     base = [row for row in rows if row["predictor"] == "persistence"]
     ends = [number_of(row, f"{panel}{end}") for row in base or rows for end in ("", "_high")]
     return 1.2 * max([end for end in ends if 0.0 < end < LONGEST_BAR], default=1.0)
+
+
+def growth_figure(about: str, rows: Sequence[Row], styles: Styles) -> Figure | None:
+    """Draw the mean absolute error against the horizon, of the first plan; None without any.
+
+    ``about`` is scenario and case, ``rows`` are theirs of ``results["channels"]``.
+    """
+    drawn = [
+        row
+        for row in rows
+        if row["plan"] == rows[0]["plan"] and 0.0 < number_of(row, "mae") < LONGEST_BAR
+    ]
+    panels = [name for name in CHANNELS if any(row["channel"] == name for row in drawn)]
+    if not panels:
+        return None
+    names = dict.fromkeys(row["predictor"] for row in drawn)
+    title, mosaic = f"Error against horizon, plan {drawn[0]['plan']}", [[name] for name in panels]
+    size = (WIDTH, 1.75 * len(panels) + 0.2)
+    fig, axes = new_figure(title, about, predictor_entries(names, styles), mosaic, size)
+    for panel in panels:
+        ax, (title, factor) = axes[panel], CHANNELS[panel]
+        set_title(ax, title)
+        for name in names:
+            own = [row for row in drawn if (row["channel"], row["predictor"]) == (panel, name)]
+            colour, style = styles[name]
+            errors = [factor * row["mae"] for row in own]
+            ax.plot([row["horizon_s"] for row in own], errors, "o", color=colour, ls=style, ms=3.5)
+        ax.set_yscale("log")
+    axes[panels[-1]].set_xlabel("horizon (s)", fontsize=10)
+    return fig
