@@ -17,8 +17,8 @@ at their mean age. The innovations of an epoch, divided by their standard deviat
 variance 1 if all sensors that the filter uses are sound. So their exponentially weighted mean m
 over a window gives a chi-square, N |m|^2, with N the effective number of samples. While all is
 sound it is learned how much more the means vary (their level), as real errors are neither white nor
-those of the data sheet. A filter passes as long as no window of any sensor exceeds the chi-square that a sound one
-exceeds with the probability :data:`FALSE_ALARM`.
+those of the data sheet. A filter passes as long as no window of any sensor exceeds the chi-square
+that a sound one exceeds with the probability :data:`FALSE_ALARM`.
 
 Without GPS the accelerations that the commands make (:mod:`twin.integrity.commands`) are one more
 aid: what the accelerometers measured more is their bias, with the variance learned before.
@@ -47,7 +47,6 @@ __all__ = [
     "BANK_SETTINGS",
     "FILTERS",
     "LEFT_OUT",
-    "LEVEL_START",
     "advance_bank",
     "aid_ratio",
     "bank_settings",
@@ -128,9 +127,6 @@ STEPS_MAX = 30
 
 LEVEL_MAX = 4.0
 """Largest level: beyond, a sensor is at fault."""
-
-LEVEL_START = 4.0
-"""Level at the start: how good the sensors are is not known yet."""
 
 TIMING_S = 0.2
 """Standard deviation of a sensor's undeclared delay."""

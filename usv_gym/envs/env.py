@@ -15,7 +15,6 @@ from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_
 from usv_gym.envs.scoring import N_TERMS, TASK
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
-from usv_kernel.streams import Parent
 
 __all__ = [
     "USVEnv",
@@ -283,7 +282,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
         if options:
             raise UsvTwinError(f"unknown reset options: {', '.join(map(str, options))}")
         obs = np.empty(self._obs_shape, np.float32)
-        self.episodes.reset(0, Parent(self.np_random, shared=True), obs[0])
+        self.episodes.reset(0, self.np_random, obs[0])
         self._started = True
         if self.observer:
             self.observer.reset(0)

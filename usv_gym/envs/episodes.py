@@ -60,7 +60,7 @@ from usv_kernel.errors import check_whole
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.scalar import sincos
-from usv_kernel.streams import Parent
+from usv_kernel.streams import spawn_children
 
 __all__ = [
     "BOUND",
@@ -438,21 +438,21 @@ class Episodes:
         if self._pool:
             self._pool.shutdown()
 
-    def reset(self, i: int, parent: Parent, obs: np.ndarray) -> None:
+    def reset(self, i: int, rng: np.random.Generator, obs: np.ndarray) -> None:
         """Put one boat to the start of an episode.
 
         Parameters
         ----------
         i : int
             Which boat.
-        parent : Parent
-            Its generator.
+        rng : numpy.random.Generator
+            That of the boat.
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
         # what differs between episodes comes from the next episode's child, of which that takes
         # children alone: so options leave what follows as it was
-        children, sim = parent.children(_KEYS, 2), self.simulation
+        children, sim = spawn_children(rng, _KEYS, 2), self.simulation
         number = self.worlds.draw(children.states[_WORLD], i, sim) if self.worlds.active else 0
         sim.begin(i, Streams(children))
         if sim.fault_sets.most > 0:

@@ -20,7 +20,6 @@ from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, pictures
 from usv_gym.envs.worlds import DRAWN
 from usv_gym.world.simulation import BOATS_MAX
 from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
-from usv_kernel.streams import Parent
 
 __all__ = [
     "USVVectorEnv",
@@ -109,7 +108,7 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.frame_skip = episodes.frame_skip
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._parents: list[Parent | None] = [None] * self.num_envs
+        self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
         self._obs = np.zeros(self._obs_shape, np.float32)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
@@ -127,14 +126,14 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Generator of each boat."""
-        return tuple(self._parent(i).generator for i in range(self.num_envs))
+        return tuple(self._generator(i) for i in range(self.num_envs))
 
-    def _parent(self, i: int, seed: int | None = None) -> Parent:
-        parent = self._parents[i]
-        if parent is None or seed is not None:
+    def _generator(self, i: int, seed: int | None = None) -> np.random.Generator:
+        generator = self._generators[i]
+        if generator is None or seed is not None:
             generator, self._seeds[i] = seeding.np_random(seed)
-            parent = self._parents[i] = Parent(generator)
-        return parent
+            self._generators[i] = generator
+        return generator
 
     def reset(
         self,
@@ -201,7 +200,7 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 )
         chosen = Chosen.of(mask)
         for i in chosen.numbers:
-            self._parent(i, seeds[i])
+            self._generator(i, seeds[i])
         self._restart(chosen)
         if limits is not None:
             self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
@@ -213,7 +212,7 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _restart(self, chosen: Chosen) -> None:
         """Reset some boats, and write their observations."""
         for i in chosen.numbers:
-            self.episodes.reset(i, self._parent(i), self._obs[i])
+            self.episodes.reset(i, self._generator(i), self._obs[i])
             if self.observer:
                 self.observer.reset(i)
             if self.recorder:

@@ -649,7 +649,7 @@ def start_streams(
         numbers[0] = seed
         for k in range(KEY_SIZE):
             numbers[1 + k] = keys[i, k]
-        hash_numbers(numbers, scratch[:3], stream)
+        hash_numbers(numbers, scratch[:2], stream)
         start_stream(stream, faults[i].stream)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_kernel.streams import Children
+from usv_kernel.streams import Children, spawn_children
 
 __all__ = [
     "FAULTS",
@@ -64,7 +64,4 @@ def spawned(rng: np.random.Generator, *, wind: bool) -> Streams:
 
     ``wind`` says whether there is an anemometer.
     """
-    seed: Any = rng.bit_generator.seed_seq
-    first = seed.n_children_spawned
-    seed.spawn(len(STREAMS) - (not wind))
-    return Streams(Children(seed, KEYS, first))
+    return Streams(spawn_children(rng, KEYS, len(STREAMS) - (not wind)))
