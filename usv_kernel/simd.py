@@ -23,7 +23,6 @@ __all__ = [
     "accumulate",
     "accumulate_rows",
     "combine",
-    "dot3",
     "dots",
     "inner",
     "padded",
@@ -319,45 +318,6 @@ def _broadcast(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
     one = builder.insert_element(none, number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
     return builder.shuffle_vector(one, none, mask)
-
-
-@intrinsic
-def dot3(typing_context, first, factors, rows, count):
-    """Return three sums over k < count of ``factors[k] * rows[k, :3]``, begun with ``first`` (3,).
-
-    ``rows`` is (n, 4); the fourth number of each does not matter. ``count`` is a constant, a
-    multiple of four. Every fourth term goes into a sum of its own, so that they need not wait for
-    each other. All arrays are contiguous float64. For kernels only.
-    """
-    _check_rows(first, factors, rows)
-    triple = types.UniTuple(types.float64, 3)  # type: ignore[attr-defined]
-
-    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
-        kind, fused = _fused(builder, 4)
-        index = args[3].type
-        begin, each, source = (
-            _pointer(context, builder, sig.args[k], args[k], index(0)) for k in range(3)
-        )
-        zero = ir.Constant(kind, [0.0] * 4)
-        start = zero
-        for k in range(3):
-            number = builder.load(builder.gep(begin, [index(k)]))
-            start = builder.insert_element(start, number, ir.IntType(32)(k))
-        totals = [cgutils.alloca_once_value(builder, value) for value in (start, zero, zero, zero)]
-        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as loop:
-            at = loop[0]
-            for k, total in enumerate(totals):
-                number = builder.add(at, index(k))
-                factor = _broadcast(builder, builder.load(builder.gep(each, [number])), 4)
-                place = builder.gep(source, [builder.mul(number, index(4))])
-                row = builder.load(builder.bitcast(place, kind.as_pointer()), align=8)
-                builder.store(builder.call(fused, [factor, row, builder.load(total)]), total)
-        a, b, c, d = (builder.load(total) for total in totals)
-        total = builder.fadd(builder.fadd(a, b), builder.fadd(c, d))
-        parts = [builder.extract_element(total, ir.IntType(32)(k)) for k in range(3)]
-        return context.make_tuple(builder, sig.return_type, parts)
-
-    return triple(first, factors, rows, types.intp), generate
 
 
 @intrinsic

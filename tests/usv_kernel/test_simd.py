@@ -18,7 +18,6 @@ from usv_kernel.simd import (
     accumulate,
     accumulate_rows,
     combine,
-    dot3,
     dots,
     inner,
     transpose,
@@ -40,11 +39,6 @@ def write(strip, factors, rows):
 @kernel
 def add_matrix(block, factors, rows):
     accumulate_rows(block, factors, rows)
-
-
-@kernel
-def three_sums(first, factors, rows, count):
-    return dot3(first, factors, rows, count)
 
 
 @kernel
@@ -157,16 +151,6 @@ def test_infinity_stays_in_its_column():
     expected = np.ones((2, 9))
     expected[:, 1] = math.inf
     np.testing.assert_array_equal(to, expected)
-
-
-@settings(deadline=None)  # the first call compiles
-@given(groups=st.integers(0, 5), seed=st.integers(0, 2**32 - 1))
-def test_three_sums_begin_with_what_is_there(groups, seed):
-    rng = np.random.default_rng(seed)
-    factors, rows, first = rng.normal(size=23), rng.normal(size=(23, 4)), rng.normal(size=3)
-    count = 4 * groups
-    expected = first + factors[:count] @ rows[:count, :3]
-    np.testing.assert_allclose(three_sums(first, factors, rows, count), expected, atol=1e-12)
 
 
 @settings(deadline=None)  # the first call compiles

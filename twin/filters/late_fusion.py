@@ -114,8 +114,8 @@ class LateFusion:
         Fused (x, y, vx, vy) in the earth frame, m and m/s ...
     fused_covariance : ndarray, shape (4, 4)
         ... and its covariance.
-    weight_gps, weight_imu : ndarray, shape (4, 4)
-        Weights of Eq 42 in the latest update.
+    weight_gps : ndarray, shape (4, 4)
+        Weight of the GPS filter by Eq 42 in the latest update; the rest is that of the IMU.
     ready : bool
         True once a fix and a compass sample have come.
 
@@ -226,11 +226,6 @@ class LateFusion:
     def ready(self) -> bool:
         """True once a fix and a compass sample have come."""
         return self._have_fix and self._have_heading
-
-    @property
-    def weight_imu(self) -> Array:
-        """Weight of the IMU filter in Eq 42, shape (4, 4)."""
-        return np.eye(4) - self.weight_gps
 
     @property
     def covariance(self) -> Array:

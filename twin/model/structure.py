@@ -45,7 +45,6 @@ from numpy.typing import NDArray
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import fma
-from usv_kernel.simd import dot3
 
 __all__ = [
     "BY_CURRENT",
@@ -320,9 +319,32 @@ def thrust_rates(terms, shares, out):
 
 
 @inlined
+def _three_sums(first, factors, rows):
+    """Return the sums over k < UUU of ``factors[k] * rows[k, :3]``, begun with ``first`` (3,).
+
+    Every fourth term goes into a sum of its own, so that they need not wait for each other.
+    """
+    a0, a1, a2 = first[0], first[1], first[2]
+    b0 = b1 = b2 = c0 = c1 = c2 = d0 = d1 = d2 = 0.0
+    for k in range(0, UUU, 4):
+        x, y, z, w = factors[k], factors[k + 1], factors[k + 2], factors[k + 3]
+        a0, a1, a2 = fma(x, rows[k, 0], a0), fma(x, rows[k, 1], a1), fma(x, rows[k, 2], a2)
+        b0 = fma(y, rows[k + 1, 0], b0)
+        b1 = fma(y, rows[k + 1, 1], b1)
+        b2 = fma(y, rows[k + 1, 2], b2)
+        c0 = fma(z, rows[k + 2, 0], c0)
+        c1 = fma(z, rows[k + 2, 1], c1)
+        c2 = fma(z, rows[k + 2, 2], c2)
+        d0 = fma(w, rows[k + 3, 0], d0)
+        d1 = fma(w, rows[k + 3, 1], d1)
+        d2 = fma(w, rows[k + 3, 2], d2)
+    return (a0 + b0) + (c0 + d0), (a1 + b1) + (c1 + d1), (a2 + b2) + (c2 + d2)
+
+
+@inlined
 def rates(terms, shares, hull, thrust):
     """Return the three accelerations from terms, gathered parameters and :func:`thrust_rates`."""
-    du, dv, dr = dot3(thrust, terms, shares, UUU)
+    du, dv, dr = _three_sums(thrust, terms, shares)
     if hull[FULL] > 0.0:
         for k in range(UUU, LEFT_COS):
             du = fma(shares[k, 0], terms[k], du)

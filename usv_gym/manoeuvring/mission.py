@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import count, islice
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from usv_gym.vessel.vessel import Vessel
 
-__all__ = ["CURRENT", "CURRENT_TO", "Mission", "time_to_know"]
+__all__ = ["CURRENT", "CURRENT_TO", "Mission", "time_to_know", "way_points"]
 
 LEG, APART = (100.0, 12.0), (30.0, 7.0)
 """Length of a leg, and distance between legs: m, and the least in lengths of the boat."""
@@ -46,6 +46,17 @@ def time_to_know(vessel: Vessel) -> float:
     return LEGS_KNOWN * sum(_distances(vessel.values["length_waterline"])) / speed
 
 
+def way_points(length: float, place: np.ndarray, course: float) -> Iterator[np.ndarray]:
+    """Yield the ends of legs for a boat of a length (m) at a place (2,), which is the first."""
+    leg, apart = _distances(length)
+    yield place
+    for k in count():
+        angle = course + 0.5 * math.pi * (0, 1, 2, 1)[k % 4]
+        ahead = np.array([math.cos(angle), math.sin(angle)])
+        place = place + (leg if k % 2 == 0 else apart) * ahead
+        yield place
+
+
 class Mission:
     """An autopilot that sails a lawn mower at the manoeuvring speed, and knows its true place.
 
@@ -68,21 +79,8 @@ class Mission:
         self._crab, self._share = 0.0, dt / CRAB_TIME
         self._hold = HeadingHold(vessel)
         self._length = vessel.values["length_waterline"]
-        self._ends = self._way_points(np.array(state[:2]), float(state[2]))
+        self._ends = way_points(self._length, np.array(state[:2]), float(state[2]))
         self._begin, self._end = next(self._ends), next(self._ends)
-
-    def _way_points(self, place: np.ndarray, course: float) -> Iterator[np.ndarray]:
-        leg, apart = _distances(self._length)
-        yield place
-        for k in count():
-            angle = course + 0.5 * math.pi * (0, 1, 2, 1)[k % 4]
-            ahead = np.array([math.cos(angle), math.sin(angle)])
-            place = place + (leg if k % 2 == 0 else apart) * ahead
-            yield place
-
-    def way_points(self, number: int) -> np.ndarray:
-        """Return the next ends of legs, shape (number, 2), m north and east."""
-        return np.array([self._end, *islice(self._ends, number - 1)])
 
     def command(self, state: np.ndarray, compass: float, gyro: float) -> np.ndarray:
         """Return the command (4,) for a true state (6,), a compass (rad) and a gyro (rad/s)."""

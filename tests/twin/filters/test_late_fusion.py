@@ -146,7 +146,7 @@ def test_without_feedback_the_imu_weight_goes_to_zero() -> None:
     for feedback in (True, False):
         fusion = LateFusion(instruments, LENGTH, feedback=feedback)
         run(fusion, z)
-        weights.append(float(fusion.weight_imu[2, 2]))
+        weights.append(1.0 - float(fusion.weight_gps[2, 2]))
     assert weights[0] > 0.5
     assert abs(weights[1]) < 0.01
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from twin.benchmark.loading import load_run
 from twin.benchmark.protocol import Settings, units
 from twin.sim.bridge import CONTROL_STEP, simulate
 from usv_gym import Fault, SeaState, Vessel
-from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, Mission, time_to_know
+from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, time_to_know, way_points
 
 SEA = SeaState.named("2").replace(current=CURRENT, current_to=CURRENT_TO)
 
@@ -28,7 +30,7 @@ def test_a_boat_keeps_to_the_legs(name):
     length = vessel.values["length_waterline"]
     duration = time_to_know(vessel) + 30.0
     log = simulate("mission", vessel=vessel, sea=SEA, duration=duration, seed=1)
-    corners = np.vstack([log.truth[:1, :2], Mission(vessel, log.truth[0], 0.05).way_points(5)])
+    corners = np.array([*islice(way_points(length, log.truth[0, :2], log.truth[0, 2]), 6)])
     off = distance_to_legs(log.truth[:, :2], corners)
     # a boat cuts and overshoots corners; in between it is on its leg
     assert np.median(off) < 0.6 * length
