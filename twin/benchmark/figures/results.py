@@ -92,6 +92,8 @@ def growth_figure(about: str, rows: Sequence[Row], styles: Styles) -> Figure | N
 
     ``about`` is scenario and case, ``rows`` are theirs of ``results["channels"]``.
     """
+    from matplotlib.ticker import LogLocator
+
     drawn = [
         row
         for row in rows
@@ -113,5 +115,8 @@ def growth_figure(about: str, rows: Sequence[Row], styles: Styles) -> Figure | N
             errors = [factor * row["mae"] for row in own]
             ax.plot([row["horizon_s"] for row in own], errors, "o", color=colour, ls=style, ms=3.5)
         ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("")
     axes[panels[-1]].set_xlabel("horizon (s)", fontsize=10)
     return fig
