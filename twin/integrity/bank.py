@@ -122,8 +122,8 @@ ROWS_MISSING = 2.5
 STEP_MAX_S = 1.0
 """Longest step of a prediction."""
 
-STEPS_MAX = 30
-"""Most steps of a prediction: a gap that is longer is predicted through coarsely."""
+GAP_S = 30.0
+"""After a gap between rows of so long all filters begin again from the sensors."""
 
 LEVEL_MAX = 4.0
 """Largest level: beyond, a sensor is at fault."""
@@ -619,7 +619,7 @@ def _advance_filter(k, bank, given, sound):
     gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < SILENT_S
     driven = LEFT_OUT[k, ACCELEROMETERS] == 0.0 and bank.imu_age[1] < SILENT_S
     convert(one, 1.0 if gyro else 0.0, 1.0 if driven else 0.0, given)
-    steps, north, east = min(math.ceil(T / STEP_MAX_S - 1e-6), STEPS_MAX), 0.0, 0.0
+    steps, north, east = math.ceil(T / STEP_MAX_S - 1e-6), 0.0, 0.0
     for _ in range(steps):
         north, east = predict(one, T / steps, bank, given)
     _cover_gap(one, row, bank, given)
@@ -671,12 +671,28 @@ def _learn_motion(bank):
     bank.epoch_rate = rate if has_gyro else math.nan
 
 
+@inlined
+def _begin_epoch(bank):
+    """Begin the sums of an epoch."""
+    bank.span = bank.gyro[0] = bank.gyro[1] = 0.0
+    for j in range(5):
+        bank.sum[j] = 0.0
+    for j in range(3):
+        bank.age_sum[j] = bank.force[j] = 0.0
+    for aid in range(AIDS):
+        bank.samples[aid] = 0.0
+
+
 @kernel
 def advance_bank(dt, z, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
     z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
     """
+    if dt > GAP_S:
+        bank.begun = bank.force_filter = 0.0
+        bank.last[:] = math.nan
+        _begin_epoch(bank)
     if bank.begun == 0.0:
         bank.clock += dt
         begin_bank(bank, z, given)
@@ -692,11 +708,5 @@ def advance_bank(dt, z, bank, given):
     for k in range(FILTERS):
         _advance_filter(k, bank, given, sound)
     _learn_motion(bank)
-    bank.span = bank.gyro[0] = bank.gyro[1] = 0.0
-    for j in range(5):
-        bank.sum[j] = 0.0
-    for j in range(3):
-        bank.age_sum[j] = bank.force[j] = 0.0
-    for aid in range(AIDS):
-        bank.samples[aid] = 0.0
+    _begin_epoch(bank)
     return True

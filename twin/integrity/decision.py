@@ -44,6 +44,7 @@ DECISION = np.dtype(
         ("in_doubt", "f8"),  # 1 while the filter in force fails
         ("failing_since", "f8"),  # clock at which it began to; below 0 it passes
         ("afresh", "f8"),  # 1 where filter 0 began from a GPS that is left out
+        ("fixed", "f8"),  # clock at which fixes were last used, s
     ]
 )
 """What is remembered of decisions."""
@@ -74,7 +75,8 @@ FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
 
 DRIFT_SD_MAX = 20.0
-"""... and if it says that dead reckoning is off by no more than so many standard deviations."""
+"""... and if the GPS had been away for as long before, or if it says that dead reckoning is off by
+no more than so many standard deviations."""
 
 RESYNC_S = 5.0
 """A filter that is not in force and fails goes on from the one in force after so long."""
@@ -222,7 +224,8 @@ def _leave_out(bank, state, force, yaw_witness, given):
 def _may_have_drifted(fresh, reckoned):
     """Return whether dead reckoning may be so wrong as a filter that began from the GPS says."""
     separation = math.hypot(fresh.x[PN] - reckoned.x[PN], fresh.x[PE] - reckoned.x[PE])
-    return separation < DRIFT_SD_MAX * math.sqrt(reckoned.P[PN, PN] + reckoned.P[PE, PE])
+    sd = math.sqrt(reckoned.P[PN, PN] + reckoned.P[PE, PE])
+    return sd > LOST_SD_M or separation < DRIFT_SD_MAX * sd
 
 
 @kernel
@@ -241,7 +244,8 @@ def _use_again(bank, state, force, given):
     dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
     if lasted <= dwell or full.ratio >= PASSES_WELL:
         return False
-    if state.afresh > 0.0 and not _may_have_drifted(full, bank.filters[force]):
+    away = full.since - state.fixed
+    if state.afresh > 0.0 and away < FRESH_S and not _may_have_drifted(full, bank.filters[force]):
         return False
     for aid in range(SENSED):
         if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * dwell:
@@ -261,6 +265,8 @@ def decide(bank, state, yaw_witness, given):
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
     state.in_doubt = 0.0
+    if LEFT_OUT[force, FIXES] == 0.0 and bank.age[FIXES] < SILENT_S:
+        state.fixed = now
     if filters[force].ratio >= 1.0:
         return _leave_out(bank, state, force, yaw_witness, given)
     state.failing_since = -1.0
