@@ -80,7 +80,7 @@ class Scene:
     # significant wave height (m), and where the waves go to (rad)
     hs: float
     wave_to: float
-    rewards: dict[str, float]  # terms of the last step's reward; none without a goal
+    reward: float | None  # of the last step; None without a goal
     heeling: bool  # whether the boat rolls and pitches at all
     overlay: TwinOverlay | None = None  # estimate and forecast of its twin
 

@@ -6,7 +6,6 @@ import math
 import subprocess
 import sys
 import warnings
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from usv_gym import Fault, SensorSuite
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.render import Painter, Renderer
 from usv_gym.envs.scene import Scene, ellipses
-from usv_gym.physics import frames as fr
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -81,28 +79,6 @@ def test_frames_are_the_readers_own_and_move_with_the_boat() -> None:
     assert (before != after).any(axis=-1).sum() > 500
 
 
-@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 360)])
-@pytest.mark.parametrize("task", ["path", "free"])
-def test_words_neither_overlap_nor_leave_the_frame(size: tuple[int, int], task: str) -> None:
-    env = made(
-        twin="ukf", dof=6, sea="6", task=task, render_size=size, faults=[Fault("gps", 0.0, 90.0)]
-    )
-    sail(env, 2.0)
-    assert env.renderer
-    # the longest that they may reasonably say
-    for t, off in ((2.0, 3.0), (1199.95, -1188.88)):
-        shown = scene(env)
-        object.__setattr__(shown, "t", t)
-        object.__setattr__(shown, "off_path", off)
-        shown.state[[fr.PHI, fr.THETA]] = -0.4, -0.4
-        env.renderer.painter.draw(shown)
-        placed = [rect for rect in env.renderer.painter.placed if rect.w > 0]
-        assert len(placed) > 15
-        frame = pygame.Rect(0, 0, *size)
-        assert all(frame.contains(rect) for rect in placed)
-        assert not [(a, b) for a, b in combinations(placed, 2) if a.colliderect(b)]
-
-
 @pytest.mark.parametrize("vessel", usv_gym.vessel_names())
 def test_every_vessel_is_painted(vessel: str) -> None:
     env = made(vessel=vessel)
@@ -114,9 +90,9 @@ def test_north_is_up_and_east_is_right() -> None:
     env = made(sea="calm", twin=None, task="free")
     shown = scene(env)
     object.__setattr__(shown, "fixes", shown.view + np.array([[15.0, 25.0]]))
-    frame = Painter((720, 720)).paint(shown)[:480]
-    rows, columns = np.nonzero(np.all(np.abs(frame.astype(int) - PURPLE) < 12, axis=-1))
-    assert rows.mean() < 240 < 360 < columns.mean()
+    east = Painter((720, 720)).paint(shown)[:, 360:]
+    rows, _ = np.nonzero(np.all(np.abs(east.astype(int) - PURPLE) < 12, axis=-1))
+    assert len(rows) > 10 and rows.mean() < 360
 
 
 # ------------------------------------------------- the GPS and its loss
@@ -181,12 +157,11 @@ def test_wind_and_waves_are_those_of_the_sea() -> None:
     assert calm.wind == calm.hs == 0.0
 
 
-def test_rewards_are_those_of_the_step() -> None:
+def test_the_reward_is_that_of_the_step() -> None:
     env = made()
-    _, reward, *_, info = env.step(AHEAD)
-    assert scene(env).rewards == info["reward_terms"]
-    assert sum(scene(env).rewards.values()) == pytest.approx(reward)
-    assert scene(made(task="free")).rewards == {}
+    reward = env.step(AHEAD)[1]
+    assert scene(env).reward == pytest.approx(reward)
+    assert scene(made(task="free")).reward is None
 
 
 # ------------------------------------------------- the twin
