@@ -2,15 +2,13 @@
 
 The ship is integrated in calm water and strong wind, from rest and from fast crabbing, with full
 thrust ahead, astern and to the sides. A ship whose speeds leave every plausible range runs away.
-The coefficient to blame is the one farthest from those of the vessels that ship, scaled by Froude
-to this length, of which a typical value ends that.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,16 +18,10 @@ from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.weather import constant
-from usv_gym.vessel.schema import KIND_SCHEMA, OPTIONAL, SCHEMA
 from usv_gym.vessel.vessel import Vessel, VesselError
-from usv_gym.vessel.vessel_file import shipped_names
 from usv_kernel.records import Record
 
-__all__ = [
-    "Runaway",
-    "check_motion",
-    "find_runaway",
-]
+__all__ = ["check_motion"]
 
 DURATION = 20.0
 """How long each manoeuvre is, in lengths over top speed."""
@@ -64,42 +56,15 @@ HEELED, DIPPING = 0.2, 0.05
 ROCKING = 0.3
 """Rates of roll and pitch there, as in steep waves, in units of sqrt(g / length)."""
 
-DIMENSIONS = {
-    **{"1": 0.0, "1/rad": 0.0, "rad": 0.0, "m": 1.0, "m2": 2.0, "kg": 3.0, "kg m2": 5.0},
-    **{"kg/m": 2.0, "kg/s": 2.5, "kg m2/s": 4.5, "kg m2 s": 5.5, "N": 3.0, "m/s": 0.5},
-    **{"s": 0.5, "rev/s": -0.5, "rev/s2": -1.0, "rad/s": -0.5, "kg/m3": 0.0},
-}
-"""Powers of the length with which quantities grow in ships of one Froude number, by unit."""
-
 WIND = 5.5, 15.0
 """Speed of the wind for a ship of 1 m, scaled by Froude, and its maximum, m/s."""
 
 SMALLER_STEPS = (2, 5, 10, 20, 50, 100)
 """By which the integration step is divided in search of one with which the ship can be sailed."""
 
-SETTINGS = frozenset(
-    (
-        *("units", "water_density", "shaft_speed_service", "shaft_speed_manoeuvring", "steer_max"),
-        *("length_waterline", "beam", "draft", "block_coefficient", "hull_beam", "spacing"),
-        "zeta_roll_viscous",
-    )
-)
-"""Parameters that are not to blame."""
-
-
-class Runaway(NamedTuple):
-    """A motion that grows without bound."""
-
-    case: str  # which manoeuvre
-    time: float  # when it left the plausible range, s
-    coefficient: str  # the one to blame; empty if no single one is
-    value: float
-    typical: tuple[float, float]  # smallest and largest of vessels that ship, at this length
-    step: float  # an integration step with which it does not, s; 0 if there is none
-
 
 def check_motion(vessel: Vessel, dof: int, dt_physics: float) -> None:
-    """Refuse a vessel that runs away; VesselError names the coefficient and the remedy.
+    """Refuse a vessel that runs away; VesselError names the manoeuvre and the remedy.
 
     Parameters
     ----------
@@ -110,27 +75,6 @@ def check_motion(vessel: Vessel, dof: int, dt_physics: float) -> None:
     dt_physics : float
         Integration step, s.
     """
-    found = find_runaway(vessel, dof, dt_physics)
-    if found is None:
-        return
-    text = (
-        f"{vessel.name}: the motion runs away {found.time:.2g} s after {found.case}, with {dof} "
-        f"degrees of freedom and dt_physics = {dt_physics:g} s. "
-    )
-    if found.coefficient:
-        text += (
-            f"{found.coefficient} = {found.value:.4g} is the likely cause: the vessels that ship "
-            f"have {found.typical[0]:.2g} to {found.typical[1]:.2g} at this length"
-        )
-    else:
-        text += "No single coefficient explains it: check their units and signs"
-    if found.step:
-        text += f"; it stays bounded with dt_physics = {found.step:.2g} s"
-    raise VesselError(text)
-
-
-def find_runaway(vessel: Vessel, dof: int, dt_physics: float) -> Runaway | None:
-    """Return how a vessel runs away, or None if it does not; see :func:`check_motion`."""
     v = vessel.values
     if v["shaft_speed_manoeuvring"] > v["shaft_speed_max"]:
         raise VesselError(
@@ -146,14 +90,16 @@ def find_runaway(vessel: Vessel, dof: int, dt_physics: float) -> Runaway | None:
         "full speed astern and hard to starboard": vessel.command(-full, hard),
     }
     commands = tuple((text, *command.tolist()) for text, command in helms.items())
-    return _find(vessel.packed.tobytes(), dof, dt_physics, commands)
+    found = _find_runaway(vessel.packed.tobytes(), dof, dt_physics, commands)
+    if found is not None:
+        raise VesselError(f"{vessel.name}: {found}")
 
 
 @functools.lru_cache(maxsize=1024)
-def _find(
+def _find_runaway(
     packed: bytes, dof: int, h: float, commands: tuple[tuple[Any, ...], ...]
-) -> Runaway | None:
-    """Search for a runaway of the vessel with these parameters."""
+) -> str | None:
+    """Return in words how the vessel with these parameters runs away; None if it does not."""
     p = np.frombuffer(packed, PARAMETERS).copy()[0]
     trials = [(*command, *way) for command in commands for way in WAYS]
     for trial in trials:
@@ -162,7 +108,12 @@ def _find(
             first = (trial, *trials)
             smaller = (h / n for n in SMALLER_STEPS)
             step = next((s for s in smaller if _is_sound(p, dof, s, first)), 0.0)
-            return Runaway(trial[0], steps * h, *_blame(p, dof, h, first), step)
+            bounded = f"; it stays bounded with dt_physics = {step:.2g} s" if step else ""
+            return (
+                f"the motion runs away {steps * h:.2g} s after {trial[0]}, with {dof} degrees of "
+                f"freedom and dt_physics = {h:g} s. Check units and signs of its coefficients"
+                f"{bounded}"
+            )
     return None
 
 
@@ -225,50 +176,3 @@ def _steps_to_runaway(p: Record, dof: int, h: float, trial: tuple[Any, ...]) -> 
 def _is_sound(p: Record, dof: int, h: float, trials: tuple[tuple[Any, ...], ...]) -> bool:
     """Return whether no manoeuvre runs away."""
     return all(_steps_to_runaway(p, dof, h, trial) is None for trial in trials)
-
-
-@functools.cache
-def _typical() -> dict[str, tuple[float, float, float]]:
-    """Return least, median and most of each coefficient of vessels that ship, scaled to 1 m.
-
-    A vessel may lack the optional terms: their ranges include 0.
-    """
-    found: dict[str, list[float]] = {}
-    for name in shipped_names():
-        values = Vessel.load(name).values
-        for key, value in values.items():
-            scale = values["length_waterline"] ** DIMENSIONS[_UNIT[key]]
-            found.setdefault(key, []).append(value / scale)
-    none = {key: [0.0] if key in OPTIONAL else [] for key in found}
-    return {
-        key: (min(x + none[key]), float(np.median(x)), max(x + none[key]))
-        for key, x in found.items()
-    }
-
-
-_UNIT = {
-    key: unit
-    for table in (*SCHEMA.values(), *KIND_SCHEMA.values())
-    for key, (unit, bound) in table.items()
-}
-
-
-def _blame(
-    p: Record, dof: int, h: float, trials: tuple[tuple[Any, ...], ...]
-) -> tuple[str, float, tuple[float, float]]:
-    """Return the coefficient to blame, its value and its typical range at this length."""
-    ranges, medians, excess = {}, {}, {}
-    for name in _typical().keys() - SETTINGS:
-        scale = float(p["length_waterline"] ** DIMENSIONS[_UNIT[name]])
-        low, medians[name], high = (scale * value for value in _typical()[name])
-        value, widest = float(p[name]), max(abs(low), abs(high)) or scale
-        ranges[name] = low, high
-        excess[name] = max(low - value, value - high) / widest
-    changed = p.copy()
-    for name in sorted(excess, key=lambda name: (-excess[name], name)):
-        changed[name] = medians[name]
-        sound = excess[name] > 0.0 and _is_sound(changed, dof, h, trials)
-        changed[name] = p[name]
-        if sound:
-            return name, float(p[name]), ranges[name]
-    return "", math.nan, (math.nan, math.nan)

@@ -1,4 +1,4 @@
-"""Vessels whose motion runs away are found, refused, and the coefficient is named."""
+"""Vessels whose motion runs away are found and refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from twin.cli.main import app
 from usv_gym.design.checks import inspect
-from usv_gym.vessel.runaway import check_motion, find_runaway
+from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.simulation import Simulation, SimulationError
 
@@ -54,42 +54,32 @@ def test_shipped_vessels_and_their_like_do_not_run_away(name, dof):
 
 
 @pytest.mark.parametrize("name", DRAG)
-def test_too_much_drag_is_named_everywhere(name, tmp_path):
-    key, value = DRAG[name]
-    boat = changed(name, key, value)
-    words = rf"{name}: the motion runs away .* {key} = .* is the likely cause: the vessels that"
+def test_too_much_drag_is_refused_everywhere(name):
+    boat = changed(name, *DRAG[name])
     for make in (
         lambda: gym.make("USVTwin-v0", vessel=boat),
         lambda: gym.make_vec("USVTwin-v0", num_envs=2, vessel=boat),
         lambda: Simulation(1, boat, "2"),
     ):
-        with pytest.raises(VesselError, match=words):
+        with pytest.raises(VesselError, match=f"{name}: the motion runs away .* units and signs"):
             make()
-    assert any(re.search(words, finding.text) for finding in inspect(boat).errors)
-    found = find_runaway(boat, 3, 0.05)
-    assert found is not None and found.coefficient == key and found.value == value
-    assert found.typical[0] <= Vessel.load(name).values.get(key, found.typical[0])
+    assert any("runs away" in finding.text for finding in inspect(boat).errors)
 
 
-def test_inertia_that_only_waves_would_show_is_named():
+def test_inertia_that_only_waves_would_show_is_refused():
     boat = changed("kvlcc2_l7", "I_yy", 514.0 * Vessel.load("kvlcc2_l7").values["I_yy"])
-    found = find_runaway(boat, 6, 0.05)
-    assert found is not None and found.coefficient == "I_yy"
-
-
-def test_a_term_that_a_vessel_may_lack_is_not_to_blame():
-    # more of the missing D_vv would help, but it is not wrong
-    boat = changed("kvlcc2_l7", "Y_vvv", -Vessel.load("kvlcc2_l7").values["Y_vvv"])
-    found = find_runaway(boat, 3, 0.05)
-    assert found is not None and found.coefficient == "Y_vvv"
+    with pytest.raises(VesselError, match="6 degrees of freedom"):
+        check_motion(boat, 6, 0.05)
 
 
 def test_a_stiff_vessel_sails_with_the_step_that_the_message_names():
     boat = changed("otter", "D_rr", 1.5e4)
-    found = find_runaway(boat, 3, 0.05)
-    assert found is not None and found.coefficient == "D_rr" and 0.0 < found.step < 0.05
-    check_motion(boat, 3, found.step)
-    simulation = Simulation(1, boat, "2", dt_physics=found.step)
+    with pytest.raises(VesselError, match="stays bounded") as caught:
+        check_motion(boat, 3, 0.05)
+    step = float(str(caught.value).split("stays bounded with dt_physics = ")[1].split()[0])
+    assert 0.0 < step < 0.05
+    check_motion(boat, 3, step)
+    simulation = Simulation(1, boat, "2", dt_physics=step)
     simulation.reset([0], [np.random.default_rng(0)])
     for _ in range(200):
         simulation.step(boat.command(10.0, boat.helm_max)[None])
@@ -126,14 +116,14 @@ def test_simulate_and_check_refuse_a_runaway_and_write_nothing(tmp_path):
     ):
         result = CliRunner().invoke(app, command)
         said = " ".join(result.output.split())
-        assert result.exit_code != 0 and "runs away" in said and "D_uu" in said, said
+        assert result.exit_code != 0 and "runs away" in said, said
     assert not out.exists()
 
 
 def mutants(count: int, seed: int, folder: Path) -> None:
     """One number of a shipped file is multiplied by up to a million, turned round or zero."""
     rng = np.random.default_rng(seed)
-    refused = named = sailed = late = 0
+    refused = sailed = late = 0
     for _ in range(count):
         name = str(rng.choice(vessel_names()))
         text = resources.files("usv_gym.vessel").joinpath("vessels", f"{name}.toml").read_text()
@@ -151,16 +141,15 @@ def mutants(count: int, seed: int, folder: Path) -> None:
         for dof in (3, 6):
             try:
                 state = sail(boat, dof, 60.0)
-            except VesselError as error:
+            except VesselError:
                 refused += 1
-                named += chosen[1] in str(error)
                 continue
             except SimulationError:
                 late += 1
                 continue
             sailed += 1
             assert np.isfinite(state).all()
-    assert sailed > 0.5 * count and named > 0.85 * refused > 0.05 * count
+    assert sailed > 0.5 * count and refused > 0.05 * count
     assert late <= 3 + 0.02 * count  # grows over half a minute; no row was written
 
 
