@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin.cli.common import console, new_table, note, write_json, write_text
+from twin.cli.common import console, new_table, note, write_text
 from usv_gym.design.checks import inspect
 from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.physics import KNOT
@@ -18,19 +18,13 @@ def vessel_check_command(
     vessel: Annotated[
         str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
     ],
-    strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Everything, in full precision.")
-    ] = None,
 ) -> None:
     """Print what follows from a vessel's numbers, and every rule of thumb that they break.
 
-    Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
+    Exit code 0: no errors; 1: errors; 2: it cannot be read.
     """
     boat = Vessel.load(vessel)
     found = inspect(boat)
-    if json_file is not None:
-        write_json(json_file, found.to_json())
     table = new_table(f"{found.name}: {found.title}", "", " ", left=("",), show_header=False)
     for name, value in found.facts.items():
         table.add_row(name, f"{value:.4g}")
@@ -40,7 +34,7 @@ def vessel_check_command(
         console.print(f"{kind}: {finding.text}", style=style, highlight=False, soft_wrap=True)
     warnings = len(found.findings) - len(found.errors)
     console.print(f"{len(found.errors)} error(s), {warnings} warning(s)")
-    if found.errors or (strict and found.findings):
+    if found.errors:
         raise typer.Exit(1)
 
 
@@ -57,13 +51,6 @@ def vessel_new_command(
         int | None, typer.Option(help="1 or 2. Default: 1 propeller with rudder, else 2.")
     ] = None,
     speed: Annotated[float | None, typer.Option(help="In service, kn.")] = None,
-    power: Annotated[float | None, typer.Option(help="Of all shafts, kW.")] = None,
-    length_overall: Annotated[
-        float | None, typer.Option(help="m. Default: 5 % above the length.")
-    ] = None,
-    water_density: Annotated[
-        float | None, typer.Option(help="kg/m3. Default: 1025, sea water.")
-    ] = None,
     hulls: Annotated[int, typer.Option(help="1, or 2 of a catamaran.")] = 1,
     hull_beam: Annotated[
         float | None, typer.Option(help="Of each hull of a catamaran at the waterline, m.")
@@ -91,9 +78,6 @@ def vessel_new_command(
             kind=kind,
             units=units,
             speed=None if speed is None else speed * KNOT,
-            power=None if power is None else power * 1e3,
-            length_overall=length_overall,
-            water_density=water_density,
             hulls=hulls,
             hull_beam=hull_beam,
             spacing=spacing,

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -61,13 +59,6 @@ class Inspection:
     def errors(self) -> list[Finding]:
         """The findings that are errors."""
         return [finding for finding in self.findings if finding.error]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return everything as dictionaries; numbers that are not finite become None."""
-        content = dataclasses.asdict(self)
-        facts = self.facts.items()
-        content["facts"] = {key: x if math.isfinite(x) else None for key, x in facts}
-        return content
 
 
 def inspect(vessel: Vessel) -> Inspection:

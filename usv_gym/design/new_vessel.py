@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from usv_gym.design import regressions as reg
 from usv_gym.physics import GRAVITY, KNOT
@@ -30,8 +30,14 @@ hulls."""
 FROUDE = {"propeller_rudder": 0.2, "steerable_drive": 0.5, "thruster_pair": 0.3}
 """Default Froude number of the service speed."""
 
+WATER_DENSITY = 1025.0
+"""Sea water, kg/m3."""
+
 EFFICIENCY = 0.5
 """Resistance times speed over shaft power."""
+
+RESERVE = 1.15
+"""Most over service shaft speed."""
 
 VISCOSITY = 1.19e-6
 """Kinematic viscosity of sea water at 15 degrees, m2/s."""
@@ -114,12 +120,7 @@ class MainParticulars:
     mass: float  # kg
     kind: str = "steerable_drive"  # kind of propulsion
     units: int | None = None  # 1 or 2; default 1 for a propeller with rudder, else 2
-    # service speed (m/s) and shaft power of all units (W); default one from the other, or both from
-    # a typical Froude number
-    speed: float | None = None
-    power: float | None = None
-    length_overall: float | None = None  # m; default 1.05 length
-    water_density: float | None = None  # kg/m3; default 1025, sea water
+    speed: float | None = None  # in service, m/s; default from a typical Froude number
     hulls: int = 1  # 2 of a catamaran
     # of a catamaran, m: beam of each hull at the water line, and distance of their centre lines;
     # default of the latter: beam less hull_beam
@@ -150,18 +151,11 @@ class _Work:
     """A draft at work: what is known without gaps, and the numbers found so far."""
 
     known: MainParticulars
-    assumed: frozenset[str]
-    """Those of ``known`` that are defaults."""
     form: reg.Form
     """Of the hull, or of each of two."""
-    length_overall: float
     units: int
-    hull_beam: float
-    spacing: float
     service: float = 0.0
     """Service speed, m/s."""
-    power: float = 0.0
-    """Shaft power, W."""
     entries: dict[str, _Entry] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -169,10 +163,10 @@ class _Work:
         """Write a number with its source."""
         self.entries[key] = _Entry(value, source, guess)
 
-    def put_known(self, key: str, otherwise: str = "") -> None:
-        """Write a particular, marked as an estimate if it is a default."""
-        guess = key in self.assumed
-        self.put(key, getattr(self.known, key), otherwise if guess else "given", guess)
+    def put_given(self, key: str, value: float, default: str = "") -> None:
+        """Write a particular; ``default`` is the source of one that was not given."""
+        guess = getattr(self.known, key) is None
+        self.put(key, value, default if guess else "given", guess)
 
     def get(self, key: str) -> float:
         """Return a number that was written."""
@@ -201,90 +195,67 @@ def design(known: MainParticulars) -> Draft:
 
 def _complete(known: MainParticulars) -> _Work:
     """Check the particulars, and fill their gaps."""
-    if known.hulls not in (1, 2):
+    two, units = known.hulls == 2, known.units
+    if known.hulls not in HULLS:
         raise DesignError(f"hulls = {known.hulls}: must be 1, or 2 of a catamaran")
-    two = known.hulls == 2
-    if not two and (known.hull_beam, known.spacing) != (None, None):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", known.name):
+        raise DesignError(f"name = {known.name!r}: use letters, digits, _ and -")
+    if known.kind not in KIND_SCHEMA:
+        raise DesignError(f"kind = {known.kind!r}: must be one of {', '.join(KIND_SCHEMA)}")
+    if units not in ((None, 2) if known.kind == "thruster_pair" else (None, 1, 2)):
+        raise DesignError(f"units = {units}: must be 1 or 2, and 2 of a thruster_pair")
+    for key in ("length", "beam", "draft", "mass", "speed", "hull_beam", "spacing"):
+        value = getattr(known, key)
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise DesignError(f"{key} = {value:g}: must be a finite number above 0")
+    hull_beam, spacing = known.beam, 0.0
+    if two:
+        hull_beam, spacing = _hulls_of(known)
+    elif (known.hull_beam, known.spacing) != (None, None):
         raise DesignError(
             "hull_beam and spacing: are of a catamaran only; add hulls = 2 (--hulls 2)"
         )
-    if two and known.hull_beam is None:
-        raise DesignError(
-            "hull_beam is missing: give the beam of each hull of the catamaran at the water line "
-            "(--hull-beam)"
-        )
-    hull_beam = known.beam if known.hull_beam is None else known.hull_beam
-    defaults: dict[str, float] = {
-        "units": 1 if known.kind == "propeller_rudder" else 2,
-        "length_overall": 1.05 * known.length,
-        "water_density": 1025.0,
-        "hull_beam": hull_beam,
-        "spacing": known.beam - hull_beam,
-    }
-    assumed = {key: value for key, value in defaults.items() if getattr(known, key) is None}
-    known = replace(known, **assumed)  # type: ignore[arg-type]
-    v = {key: value for key, value in vars(known).items() if isinstance(value, float | int)}
-    for key, value in v.items():
-        free = key in ("hulls", "units") or (key == "spacing" and not two)
-        if not free and not (math.isfinite(value) and value > 0.0):
-            raise DesignError(f"{key} = {value:g}: must be a finite number above 0")
-    box = known.hulls * v["water_density"] * v["length"] * v["hull_beam"] * v["draft"]
+    box = known.hulls * WATER_DENSITY * known.length * hull_beam * known.draft
     form = reg.Form(
         length=known.length,
         beam=hull_beam,
         draft=known.draft,
         block_coefficient=float(f"{known.mass / box:.5g}"),
-        water_density=v["water_density"],
+        water_density=WATER_DENSITY,
         hulls=known.hulls,
-        spacing=v["spacing"] if two else 0.0,
+        spacing=spacing,
     )
-    what = "each hull of a catamaran" if two else "one hull"
-    hint = "" if two else "; a catamaran has --hulls 2 --hull-beam M --spacing M"
-    bounds, ratios = HULLS[known.hulls], form.ratios
-    units, apart, overall = v["units"], v["spacing"], v["length_overall"]
-    rules = [
-        (
-            re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", known.name),
-            f"name = {known.name!r}: use letters, digits, _ and -",
-        ),
-        (
-            known.kind in KIND_SCHEMA,
-            f"kind = {known.kind!r}: must be one of {', '.join(KIND_SCHEMA)}",
-        ),
-        (
-            units == 2 or (units == 1 and known.kind != "thruster_pair"),
-            f"units = {units}: must be 1 or 2, and 2 of a thruster_pair",
-        ),
-        (
-            not two or hull_beam < apart <= 1.001 * known.beam - hull_beam,
-            f"hull_beam = {hull_beam:g} m, spacing = {apart:g} m: the hulls must not touch, and "
-            f"must lie within the beam of {known.beam:g} m",
-        ),
-        (
-            bounds["C_b"][0] <= ratios["C_b"] <= bounds["C_b"][1],
-            f"mass = {known.mass:g} kg: a box of length, beam and draft displaces {box:.4g} kg, "
-            f"which makes a block coefficient of {ratios['C_b']:.3g}; {what} has "
-            "{:g} to {:g}".format(*bounds["C_b"])
-            + hint,
-        ),
-        *(
-            (
-                bounds[key][0] <= ratios[key] <= bounds[key][1],
-                f"{key} = {ratios[key]:.3g}: length, beam and draft of {what} make "
-                "{:g} to {:g}".format(*bounds[key])
-                + hint,
+    for key, (low, high) in HULLS[known.hulls].items():
+        ratio = form.ratios[key]
+        if not low <= ratio <= high:
+            made = (
+                f"mass = {known.mass:g} kg: a box of length, beam and draft displaces {box:.4g} kg,"
+                f" which makes a block coefficient of {ratio:.3g}"
+                if key == "C_b"
+                else f"{key} = {ratio:.3g}, of length, beam and draft"
             )
-            for key in ("L/B", "B/d")
-        ),
-        (
-            overall >= known.length,
-            f"length_overall = {overall:g} m: must not be below the length of {known.length:g} m",
-        ),
-    ]
-    for kept, message in rules:
-        if not kept:
-            raise DesignError(message)
-    return _Work(known, frozenset(assumed), form, overall, int(units), hull_beam, form.spacing)
+            what = "each hull of a catamaran has" if two else "one hull has"
+            hint = "" if two else "; a catamaran has --hulls 2 --hull-beam M --spacing M"
+            raise DesignError(f"{made}; {what} {low:g} to {high:g}{hint}")
+    if units is None:
+        units = 1 if known.kind == "propeller_rudder" else 2
+    return _Work(known, form, units)
+
+
+def _hulls_of(known: MainParticulars) -> tuple[float, float]:
+    """Return beam and spacing of a catamaran's hulls, m."""
+    if known.hull_beam is None:
+        raise DesignError(
+            "hull_beam is missing: give the beam of each hull of the catamaran at the water line "
+            "(--hull-beam)"
+        )
+    spacing = known.beam - known.hull_beam if known.spacing is None else known.spacing
+    if not known.hull_beam < spacing <= 1.001 * known.beam - known.hull_beam:
+        raise DesignError(
+            f"hull_beam = {known.hull_beam:g} m, spacing = {spacing:g} m: the hulls must not "
+            f"touch, and must lie within the beam of {known.beam:g} m"
+        )
+    return known.hull_beam, spacing
 
 
 def _source(estimate: reg.Estimate) -> str:
@@ -317,17 +288,9 @@ def _resistance(form: reg.Form, speed: float) -> float:
 
 
 def _set_speed(work: _Work) -> None:
-    """Set service speed and shaft power."""
-    form, speed, power = work.form, work.known.speed, work.known.power
-    unit = math.sqrt(GRAVITY * form.length)
-    if speed is None and power is not None:
-        low, high = 0.02 * unit, 2.5 * unit
-        for _ in range(60):
-            speed = 0.5 * (low + high)
-            enough = _resistance(form, speed) * speed <= EFFICIENCY * power
-            low, high = (speed, high) if enough else (low, speed)
-    if speed is None:
-        speed = FROUDE[work.known.kind] * unit
+    """Set the service speed."""
+    unit = math.sqrt(GRAVITY * work.form.length)
+    speed = FROUDE[work.known.kind] * unit if work.known.speed is None else work.known.speed
     froude = speed / unit
     if not 0.02 <= froude <= 2.5:
         raise DesignError(
@@ -336,12 +299,7 @@ def _set_speed(work: _Work) -> None:
         )
     if froude > 0.6:
         work.notes.append(f"Froude number {froude:.2f}: planing is in the resistance curve only")
-    needed = _resistance(form, speed) * speed / EFFICIENCY
-    if power is not None and not 0.7 < power / needed < 2.0:
-        work.notes.append(
-            f"{speed / KNOT:.3g} kn need about {needed / 1e3:.3g} kW, not {power / 1e3:.3g}"
-        )
-    work.service, work.power = speed, needed if power is None else power
+    work.service = speed
 
 
 def _particulars(work: _Work) -> None:
@@ -360,17 +318,17 @@ def _particulars(work: _Work) -> None:
     # in a turn one hull moves ahead and the other astern
     turning = added["J_zz"] + m_x * (0.5 * form.spacing) ** 2
     J_zz = work.limited(turning / I_zz, 0.2, most, "J_zz over I_zz") * I_zz
-    work.put_known("length_overall", "1.05 of the length")
+    work.put("length_overall", 1.05 * known.length, "1.05 of the length")
     work.put("length_waterline", known.length, "given", guess=False)
     for key in ("beam", "draft", "mass"):
-        work.put_known(key)
+        work.put_given(key, getattr(known, key))
     if two:
-        work.put_known("hull_beam")
-        work.put_known("spacing", "beam less that of a hull")
+        work.put_given("hull_beam", form.beam)
+        work.put_given("spacing", form.spacing, "beam less that of a hull")
     block, box = form.block_coefficient, " of the box over both hulls" if two else ""
-    share = known.hulls * work.hull_beam / known.beam if two else 1.0
+    share = known.hulls * form.beam / known.beam if two else 1.0
     work.put("block_coefficient", block * share, f"from mass and dimensions{box}", guess=False)
-    work.put_known("water_density", "sea water")
+    work.put("water_density", WATER_DENSITY, "sea water")
     work.put("x_G", 0.0, "origin at the centre of gravity", guess=False)
     if two:
         KG = known.draft + 0.1 * known.length
@@ -461,7 +419,7 @@ def _pod_diameter(work: _Work, thrust: float, inflow: float, least: float) -> fl
     It is smaller where the boat would pull more than :data:`PULL` of its weight at rest.
     """
     density = work.form.water_density
-    diameter = max(POD * work.hull_beam, least)
+    diameter = max(POD * work.form.beam, least)
     while diameter > least:
         J = _advance_ratio(K_T_POD, thrust / (density * diameter**2 * inflow**2))
         pull = 2.0 * density * K_T_POD[0] * (diameter * inflow / J) ** 2
@@ -492,11 +450,9 @@ def _propulsion(work: _Work) -> None:
     curve = K_T_POD if pods else K_T
     J = _advance_ratio(curve, thrust / (form.water_density * diameter**2 * inflow**2))
     n = inflow / (J * diameter)
-    needed = _resistance(form, service) * service / EFFICIENCY
-    reserve = min(max((work.power / needed) ** (1.0 / 3.0), 1.15), 1.5)
-    top = reserve * n
+    top = RESERVE * n
     lag = min(max(0.25 * math.sqrt(L), 0.1), 5.0)
-    work.put_known("units", "typical for the kind")
+    work.put_given("units", units, "typical for the kind")
     size = "hull's beam" if pods else "draft"
     work.put("propeller_diameter", diameter, f"a share of the {size}, or by its thrust")
     stopped = ", with the drag of a stopped one" if pods else ""
@@ -506,7 +462,7 @@ def _propulsion(work: _Work) -> None:
     work.put("wake_fraction", wake, "Taylor, one screw" if rudder else "open drives")
     work.put("thrust_deduction", deduction, "0.6 of the wake" if rudder else "open drives")
     if two and units == 2:
-        work.put("y_P", 0.5 * work.spacing, "behind each hull")
+        work.put("y_P", 0.5 * form.spacing, "behind each hull")
     else:
         aside = (0.35 if pair else 0.25) if units == 2 else 0.0
         source = "thruster pairs 0.35 of the beam, else 0.25; one: 0"
@@ -517,7 +473,7 @@ def _propulsion(work: _Work) -> None:
         work.put("z_P", 0.7 * d if rudder else d, "behind the hull, or at the keel")
     work.put("shaft_lag", lag, "engines of that size")
     work.put("shaft_rate", top / lag, "from the lag")
-    work.put("shaft_speed_max", top, f"{reserve:.2f} of service")
+    work.put("shaft_speed_max", top, f"{RESERVE:.2f} of service")
     work.put("shaft_speed_service", n, f"{service / KNOT:.3g} kn")
     slow = 0.5 * top if pair else 0.8 * n
     work.put("shaft_speed_manoeuvring", slow, "0.8 of service; thruster pair: half of max")
@@ -558,7 +514,7 @@ def _rudder(work: _Work, diameter: float) -> None:
 
 def _wind(work: _Work) -> None:
     """Write the table [wind]."""
-    L = work.length_overall
+    L = work.get("length_overall")
     height = 0.16 * L if L < 10.0 else 1.6 * (L / 10.0) ** 0.6
     shape = "between the 7.5 m boat and KVLCC2"
     work.put("A_F", 1.2 * work.known.beam * height, shape)
@@ -617,7 +573,7 @@ def _make_stable(work: _Work) -> Vessel:
 
 
 def _title(work: _Work) -> str:
-    return f"first draft of a {work.length_overall:.3g} m vessel"
+    return f"first draft of a {work.get('length_overall'):.3g} m vessel"
 
 
 def _round(value: float) -> float:
@@ -627,12 +583,13 @@ def _round(value: float) -> float:
 def _toml(work: _Work) -> str:
     """Return the text of the vessel file."""
     one = work.form.hulls == 1
+    power = _resistance(work.form, work.service) * work.service / EFFICIENCY
     hulls = "one hull" if one else "two hulls that do not disturb each other"
     lines = [
         "# First draft by usv-twin vessel new: the particulars were given, all else is estimated "
         f"for {hulls}.",
         "# Replace estimates by better values, and run usv-twin vessel check.",
-        f"# {work.service / KNOT:.3g} kn in service, about {work.power / 1e3:.3g} kW.",
+        f"# {work.service / KNOT:.3g} kn in service, about {power / 1e3:.3g} kW.",
         "# The origin lies at the centre of gravity.",
         "# Each number: value, unit, source; guess = true marks estimates.",
         "",

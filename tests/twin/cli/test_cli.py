@@ -346,17 +346,16 @@ def test_a_new_vessel_is_checked_and_simulated(empty):
     path = empty / "mine.toml"
     text = path.read_text(encoding="utf-8")
     assert "15 kn in service" in text and "guess = true" in text
-    found = run("vessel", "check", "mine.toml", "--json", "mine.json", "--strict")
-    assert "0 error(s), 0 warning(s)" in found.stdout
-    content = json.loads(Path("mine.json").read_text(encoding="utf-8"))
-    assert content["findings"] == []
-    assert abs(content["facts"]["speed, service m/s"] - 15.0 * 1852.0 / 3600.0) < 0.03
+    found = run("vessel", "check", "mine.toml").stdout
+    assert "0 error(s), 0 warning(s)" in found
+    (speed,) = re.findall(r"speed, service m/s\s+([\d.]+)", found)
+    assert abs(float(speed) - 15.0 * 1852.0 / 3600.0) < 0.03
     run("simulate", "turn", "--vessel", "mine.toml", "--duration", "10")
 
     again = run(*new, check=2)
     assert "mine.toml: is there already" in again.stderr and "--force" in again.stderr
     assert path.read_text(encoding="utf-8") == text
-    run(*new, "--force", "--power", "100")
+    run(*new, "--force", "--units", "1")
     assert path.read_text(encoding="utf-8") != text
     assert not list(empty.glob(".*"))  # no partial file is left
 
@@ -365,7 +364,6 @@ def test_vessel_check_reports_errors_and_warnings(tmp_path):
     good = run("vessel", "check", "kvlcc2_l7")
     assert "In sea state 4 it capsizes" in good.stdout.replace("\n", " ")
     assert "0 error(s), 2 warning(s)" in good.stdout
-    assert run("vessel", "check", "kvlcc2_l7", "--strict", check=1).stdout == good.stdout
     bad, box = tmp_path / "bad.toml", USV75.replace('hydro = "usv75.nc"\n', "")
     bad.write_text(box.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))
     assert "error: A_wp = 18 m2" in run("vessel", "check", bad, check=1).stdout

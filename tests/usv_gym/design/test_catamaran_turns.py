@@ -32,7 +32,7 @@ OTTER = MainParticulars(
 )
 WAMV = MainParticulars(
     name="wamv", length=4.9, beam=2.3919, draft=0.0794748, mass=180.0, kind="thruster_pair",
-    speed=1.7, hulls=2, hull_beam=0.3379, spacing=2.054, water_density=1000.0,
+    speed=1.7, hulls=2, hull_beam=0.3379, spacing=2.054,
 )
 BLUEBOAT = MainParticulars(
     name="blueboat", length=1.2, beam=0.93, draft=0.15, mass=15.0, kind="thruster_pair",

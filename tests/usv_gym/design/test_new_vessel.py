@@ -95,16 +95,6 @@ def test_estimates_are_marked_with_their_source_and_range() -> None:
     assert any("L/B is 2.33" in note for note in first.notes)
 
 
-def test_speed_and_power_imply_each_other() -> None:
-    particulars = {"length": 6.336, "beam": 2.714, "draft": 0.526, "mass": 3420.0}
-    by_power = design(MainParticulars(name="a", power=260e3, **particulars))  # type: ignore[arg-type]
-    speed = by_power.vessel.straight_speed(by_power.vessel.values["shaft_speed_service"])
-    # the paper's boat needs about 260 kW for 38 kn by its own curve: within 20 %
-    assert speed * 3600 / 1852 == pytest.approx(38.0, rel=0.2)
-    both = design(MainParticulars(name="a", power=10e3, speed=15.0, **particulars))  # type: ignore[arg-type]
-    assert any("kW" in note for note in both.notes)
-
-
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
@@ -120,7 +110,6 @@ def test_speed_and_power_imply_each_other() -> None:
         ({"kind": "sail"}, "thruster_pair"),
         ({"kind": "thruster_pair", "units": 1}, "units = 1"),
         ({"units": 3}, "units = 3"),
-        ({"length_overall": 5.0}, "length_overall = 5"),
         ({"hulls": 3}, "hulls = 3"),
         ({"hull_beam": 0.5}, "hulls = 2"),
         ({"hulls": 2}, "hull_beam is missing"),
