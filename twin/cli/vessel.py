@@ -11,7 +11,6 @@ from twin.cli.common import console, new_table, note, write_json, write_text
 from usv_gym.design.checks import inspect
 from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.physics import KNOT
-from usv_gym.vessel.geometry import boat_of
 from usv_gym.vessel.vessel import KIND_SCHEMA, Vessel, vessel_names
 
 
@@ -29,8 +28,6 @@ def vessel_check_command(
     Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
     """
     boat = Vessel.load(vessel)
-    if boat.mesh is not None:
-        boat_of(boat)  # reads the file
     found = inspect(boat)
     if json_file is not None:
         write_json(json_file, found.to_json())

@@ -1,6 +1,6 @@
-"""Tracks of manoeuvres, their indices, and the criteria of IMO.
+"""Tracks of manoeuvres and their indices.
 
-Lengths are in ship lengths (argument ``length``; between perpendiculars for IMO). Rates of turn are
+Lengths are in ship lengths (argument ``length``). Rates of turn are
 ``r L / U`` with the present speed U, times in s, angles in rad. A turn to port is mirrored first,
 so that advance, transfer, diameter, rate and drift are positive to either side.
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,12 +20,10 @@ import numpy as np
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
-    "Criterion",
     "Track",
     "TrackError",
     "Turning",
     "Zigzag",
-    "imo",
     "turning",
     "zigzag",
 ]
@@ -212,31 +209,6 @@ class Zigzag:
     """Time from the second to the fourth order, s; nan without a fourth."""
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """One criterion of IMO; ``str`` gives it in one line, with angles in degrees."""
-
-    name: str
-    """Manoeuvre and index."""
-    value: float
-    """Worst of the given runs."""
-    limit: float
-    """Largest allowed value."""
-    unit: str
-    """``L`` (ship lengths) or ``rad``."""
-
-    @property
-    def ok(self) -> bool:
-        """Whether it is met."""
-        return self.value <= self.limit
-
-    def __str__(self) -> str:
-        scale, unit = (180.0 / math.pi, "deg") if self.unit == "rad" else (1.0, self.unit)
-        result = "ok" if self.ok else "not met"
-        value, limit = scale * self.value, scale * self.limit
-        return f"{self.name} {value:.2f} {unit}, at most {limit:.2f} {unit}: {result}"
-
-
 def turning(
     track: Track,
     *,
@@ -333,63 +305,6 @@ def zigzag(
         initial_turning_distance=float(np.interp(executes[1], run.t, run.travelled)) / length,
         period=executes[3] - executes[1] if len(executes) > 3 else math.nan,
     )
-
-
-def imo(
-    *,
-    length: float,
-    speed: float,
-    turning: Turning | Sequence[Turning] = (),
-    zigzag_10: Zigzag | Sequence[Zigzag] = (),
-    zigzag_20: Zigzag | Sequence[Zigzag] = (),
-) -> list[Criterion]:
-    """Return the manoeuvring criteria of IMO for the given trials.
-
-    They hold for loaded ships of 100 m and more in deep calm water. The approach has 90 % or more
-    of the speed at 85 % of full power. ``length`` is between perpendiculars, m; ``speed`` that of
-    the approach, m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20;
-    the worst of several counts.
-
-    Source: IMO MSC.137(76), 5.3.
-    """
-    if not (length > 0.0 and speed > 0.0):
-        raise TrackError(f"length = {length:g} m and speed = {speed:g} m/s must be above 0")
-    circles = [turning] if isinstance(turning, Turning) else turning
-    # limits of the 10/10 zigzag rise with L / U between 10 and 30 s
-    seconds = min(max(length / speed, 10.0), 30.0)
-    rows = []
-
-    def row(name: str, values: Sequence[float], limit: float, unit: str) -> None:
-        if values:
-            rows.append(Criterion(name, max(values), limit, unit))
-
-    row("turning: advance", [c.advance for c in circles], 4.5, "L")
-    row("turning: tactical diameter", [c.tactical_diameter for c in circles], 5.0, "L")
-    tens = _zigzags(zigzag_10, 10.0, 2)
-    first, second = math.radians(5.0 + 0.5 * seconds), math.radians(17.5 + 0.75 * seconds)
-    row("10/10: initial turning", [z.initial_turning_distance for z in tens], 2.5, "L")
-    row("10/10: first overshoot", [z.overshoots[0] for z in tens], first, "rad")
-    row("10/10: second overshoot", [z.overshoots[1] for z in tens], second, "rad")
-    twenties = _zigzags(zigzag_20, 20.0, 1)
-    row("20/20: first overshoot", [z.overshoots[0] for z in twenties], math.radians(25.0), "rad")
-    return rows
-
-
-def _zigzags(runs: Zigzag | Sequence[Zigzag], degrees: float, overshoots: int) -> Sequence[Zigzag]:
-    """Check the angle and the number of overshoots of zigzags, and return them."""
-    runs = [runs] if isinstance(runs, Zigzag) else runs
-    for run in runs:
-        if not math.isclose(run.switch, math.radians(degrees), rel_tol=1e-3):
-            raise TrackError(
-                f"a zigzag that switches at {math.degrees(run.switch):.3g} degrees is not one "
-                f"at {degrees:g}"
-            )
-        if len(run.overshoots) < overshoots:
-            raise TrackError(
-                f"the {degrees:g}/{degrees:g} zigzag shows {len(run.overshoots)} overshoot(s), "
-                f"but {overshoots} are needed: record it for longer"
-            )
-    return runs
 
 
 def _to_starboard(run: Track, change: float, lacking: str) -> tuple[int, Track]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usv_gym.manoeuvring import indices
-from usv_gym.manoeuvring.indices import Criterion, Track, Turning, Zigzag
+from usv_gym.manoeuvring.indices import Track, Turning, Zigzag
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
@@ -104,17 +104,6 @@ class StandardTrials:
     """20/20 zigzags."""
     tracks: dict[str, Track]
     """Tracks by name, such as ``10/10 zigzag to port``."""
-
-    @property
-    def criteria(self) -> list[Criterion]:
-        """Criteria of IMO, see :func:`usv_gym.manoeuvring.indices.imo`."""
-        return indices.imo(
-            length=self.length,
-            speed=self.speed,
-            turning=self.turning,
-            zigzag_10=self.zigzag_10,
-            zigzag_20=self.zigzag_20,
-        )
 
 
 def standard_trials(

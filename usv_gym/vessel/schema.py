@@ -14,7 +14,6 @@ from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "KIND_SCHEMA",
-    "MESH_FORMATS",
     "OPTIONAL",
     "SCHEMA",
     "UNITS",
@@ -114,9 +113,6 @@ ZETA_ROLL_VISCOUS = 0.05
 A guess: bare hulls without speed have 0.02 to 0.08 by the components of Himeno 1981 and Ikeda 2004
 (ITTC 7.5-02-07-04.5), most of it from eddies at the chines.
 """
-
-MESH_FORMATS = (".glb", ".stl", ".obj", ".ply")
-"""Mesh files that a vessel may name."""
 
 
 def check_kind(kind: Any) -> str:

@@ -26,7 +26,6 @@ from usv_gym.vessel.schema import (
     DAMPING,
     HULL_TERMS,
     KIND_SCHEMA,
-    MESH_FORMATS,
     ZETA_ROLL_VISCOUS,
     VesselError,
     check_kind,
@@ -49,7 +48,6 @@ from usv_kernel.servos import Servos
 
 __all__ = [
     "KIND_SCHEMA",
-    "MESH_FORMATS",
     "BoatClass",
     "DrawnBoat",
     "Vessel",
@@ -92,10 +90,6 @@ class Vessel:
         give the resistance.
     guesses : frozenset of str
         Keys that the file marks as estimates.
-    mesh : Path, optional
-        Mesh file that replaces the hull and superstructure drawn from the particulars, see
-        :mod:`usv_gym.vessel.mesh_files`. In m, origin amidships on the water line. A .glb file
-        has y up, z forward and x to port (glTF); others have z up, x forward and y to port.
     hydro : HydroTable, optional
         Hydrodynamic table of the hull, see :meth:`with_table`.
     stated : Mapping[str, float]
@@ -116,7 +110,6 @@ class Vessel:
     resistance_speed: tuple[float, ...] = ()
     resistance_force: tuple[float, ...] = ()
     guesses: frozenset[str] = field(default=frozenset())
-    mesh: Path | None = None
     hydro: HydroTable | None = None
     stated: Mapping[str, float] = field(default_factory=dict)
     design: str = ""
@@ -126,13 +119,8 @@ class Vessel:
     def __post_init__(self) -> None:
         for name in ("values", "stated"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        object.__setattr__(self, "mesh", None if self.mesh is None else Path(self.mesh))
         check_values(check_kind(self.kind), self.values)
         check_resistance(self.values, self.resistance_speed, self.resistance_force)
-        if self.mesh is not None and self.mesh.suffix.lower() not in MESH_FORMATS:
-            raise VesselError(
-                f"[vessel] mesh: {self.mesh} must be a file of {', '.join(MESH_FORMATS)}"
-            )
 
     # a mapping proxy cannot be pickled, and parallel workers need the vessel
     def __reduce__(self) -> tuple[Any, ...]:

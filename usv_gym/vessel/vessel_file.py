@@ -92,7 +92,7 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the fields of a vessel from the tables of its file."""
     _check_keys("table ", tables, ("vessel", *SCHEMA, "autopilot"), ("vessel", "autopilot"))
     about = tables.get("vessel", {})
-    names = ("name", "title", "mesh", "hydro")
+    names = ("name", "title", "hydro")
     _check_keys("[vessel] ", about, names, names)
     for key, text in about.items():
         if not isinstance(text, str):
@@ -113,8 +113,7 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
     return {
         "name": about.get("name", path.stem),
         "title": about.get("title", path.stem),
-        "mesh": _beside(path, "mesh", about),
-        "hydro": _beside(path, "hydro", about),
+        "hydro": _table_path(path, about),
         "kind": kind,
         "values": {key: value for key, (value, _) in entries.items()},
         **{key: value for key, (value, _) in curve.items()},
@@ -212,16 +211,16 @@ def _outputs(table: Any, kind: str) -> Servos:
         raise VesselError(f"[autopilot] {error}") from None
 
 
-def _beside(path: Path, key: str, about: Mapping[str, str]) -> Path | None:
-    """Return a file that the table [vessel] names by its path from the vessel file's folder."""
-    if key not in about:
+def _table_path(path: Path, about: Mapping[str, str]) -> Path | None:
+    """Return the hydrodynamic table that [vessel] names, from the folder of its file."""
+    if "hydro" not in about:
         return None
-    file = (path.parent / about[key]).resolve()
-    if key == "hydro" and not file.is_file():
-        file = FOLDER / about[key]  # a copy of a vessel of the package keeps its table
+    file = (path.parent / about["hydro"]).resolve()
+    if not file.is_file():
+        file = FOLDER / about["hydro"]  # a copy of a vessel of the package keeps its table
     if not file.is_file():
         raise VesselError(
-            f"[vessel] {key}: there is no file {path.parent / about[key]}; give its path from this "
-            "file's folder"
+            f"[vessel] hydro: there is no file {path.parent / about['hydro']}; give its path from "
+            "this file's folder"
         )
     return file

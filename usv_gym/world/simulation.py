@@ -68,8 +68,6 @@ STATE_MAX = 1e9
 PLACE_MAX = 1e6
 """Farthest start from the origin along each axis, m."""
 
-_DRIFT = ("drift_sums", "drift_table", "drift_tabled")
-
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
 _KIND_AT, _SEA_AT = field_at(WORLD, "kind"), field_at(WORLD, "sea")
@@ -521,13 +519,11 @@ class Simulation:
             u, n = speed, self.vessel.shaft_speed_for(speed)
         return {"x": at[0], "y": at[1], "heading": heading, "speed": u, "shaft_speed": n}
 
-    def change_sea(
-        self, i: int, sea: str | SeaState, rng: np.random.Generator, *, waves: bool = True
-    ) -> None:
+    def change_sea(self, i: int, sea: str | SeaState, rng: np.random.Generator) -> None:
         """Put boat i into another sea, from now on until its reset.
 
-        Without ``waves`` the wind alone changes. With six degrees of freedom it is set on the new
-        surface, moving with it. The slow changes of the wind begin at its mean.
+        With six degrees of freedom it is set on the new surface, moving with it. The slow changes
+        of the wind begin at its mean.
         """
         new = SeaState.named(sea).realise(self.vessel_of(i), *rng.spawn(2))
         for kind, array, components in (
@@ -540,22 +536,18 @@ class Simulation:
                     f"for {array.shape[2]}: make the simulation with changing=True, or with a sea "
                     "of as many components"
                 )
-        self._fill(i, new, waves=waves)
-        if waves and self.dof == 6:
+        self._fill(i, new)
+        if self.dof == 6:
             float_on_sea(self.rows[i], self.config, self.factors)
 
-    def _fill(self, i: int, sea: Sea, *, waves: bool = True) -> None:
-        """Write a sea to the arrays of boat i, or its wind alone."""
-        kept = {} if waves else {key: self.weather[i][key].copy() for key in _DRIFT}
+    def _fill(self, i: int, sea: Sea) -> None:
+        """Write a sea to the arrays of boat i."""
         # where seas differ in their number of components, the others are zeros
-        for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
+        for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
             array[i] = 0.0
             array[i, :, : components.shape[1]] = components
         self.weather[i] = sea.weather
-        if not waves:  # the mean drift is that of the waves
-            for key, drift in kept.items():
-                self.weather[i][key] = drift
-        elif self._loads.shape[1] > 0:
+        if self._loads.shape[1] > 0:
             self._fill_loads(i, self.vessel_of(i), sea.waves)
 
     def _fill_loads(self, i: int, vessel: Vessel, waves: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Indices of tracks: closed forms, symmetries, recorded runs of KVLCC2, limits of IMO."""
+"""Indices of tracks: closed forms, symmetries, recorded runs of KVLCC2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym.manoeuvring import indices
-from usv_gym.manoeuvring.indices import Track, TrackError, Turning, Zigzag, imo
+from usv_gym.manoeuvring.indices import Track, TrackError, Turning, Zigzag
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
@@ -220,77 +220,6 @@ def test_bad_tracks_are_refused() -> None:
         Track(t=np.minimum(t, 2.0), x=t, y=t, psi=t)
     with pytest.raises(TrackError, match="samples"):
         Track(t=t[:1], x=t[:1], y=t[:1], psi=t[:1])
-
-
-# ------------------------------------------------- IMO
-
-CIRCLE = indices.turning(circle(0.05 * np.arange(2000)), length=LENGTH)
-
-
-def a_zigzag(switch: float, *overshoots: float) -> Zigzag:
-    return Zigzag(
-        side=1,
-        switch=switch * DEGREE,
-        overshoots=tuple(o * DEGREE for o in overshoots),
-        executes=(0.0,),
-        checks=(),
-        initial_turning_time=1.0,
-        initial_turning_distance=2.4,
-        period=math.nan,
-    )
-
-
-@pytest.mark.parametrize(
-    ("seconds", "first", "second"),
-    # the table of MSC.137(76) 5.3.3: 10; 5 + (L/V) / 2; 20, and 25; 17.5 + 0.75 (L/V); 40
-    [(5.0, 10.0, 25.0), (9.99, 10.0, 25.0), (20.0, 15.0, 32.5), (30.0, 20.0, 40.0), (50, 20, 40)],
-)
-def test_zigzag_limits_follow_length_over_speed(
-    seconds: float, first: float, second: float
-) -> None:
-    def rows(zigzag_10: Zigzag) -> dict[str, indices.Criterion]:
-        found = imo(length=100.0, speed=100.0 / seconds, zigzag_10=zigzag_10)
-        return {row.name: row for row in found}
-
-    below = rows(a_zigzag(10.0, first - 0.01, second - 0.01))
-    assert below["10/10: first overshoot"].limit == pytest.approx(first * DEGREE)
-    assert below["10/10: second overshoot"].limit == pytest.approx(second * DEGREE)
-    assert all(row.ok for row in below.values())
-    above = rows(a_zigzag(10.0, first + 0.01, second + 0.01))
-    assert [name for name, row in above.items() if not row.ok] == [
-        "10/10: first overshoot",
-        "10/10: second overshoot",
-    ]
-
-
-def test_imo_takes_the_worst_side() -> None:
-    wide = dataclasses.replace(CIRCLE, advance=4.6, tactical_diameter=5.1, side=-1)
-    rows = imo(
-        length=100.0,
-        speed=5.0,
-        turning=(CIRCLE, wide),
-        zigzag_10=[a_zigzag(10.0, 1.0, 2.0)],
-        zigzag_20=(a_zigzag(20.0, 24.0), a_zigzag(20.0, 26.0)),
-    )
-    got = {row.name: (row.value, row.limit, row.unit, row.ok) for row in rows}
-    assert got == {
-        "turning: advance": (4.6, 4.5, "L", False),
-        "turning: tactical diameter": (5.1, 5.0, "L", False),
-        "10/10: initial turning": (2.4, 2.5, "L", True),
-        "10/10: first overshoot": (DEGREE, pytest.approx(15 * DEGREE), "rad", True),
-        "10/10: second overshoot": (2 * DEGREE, pytest.approx(32.5 * DEGREE), "rad", True),
-        "20/20: first overshoot": (26 * DEGREE, pytest.approx(25 * DEGREE), "rad", False),
-    }
-    assert all(row.ok for row in imo(length=100.0, speed=5.0, turning=CIRCLE))
-
-
-def test_imo_refuses_other_zigzags() -> None:
-    with pytest.raises(TrackError, match="20 degrees"):
-        imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(20.0, 1.0, 2.0))
-    with pytest.raises(TrackError, match="overshoot"):
-        imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(10.0, 1.0))
-    with pytest.raises(TrackError, match="speed"):
-        imo(length=100.0, speed=0.0)
 
 
 # ------------------------------------------------- recorded runs

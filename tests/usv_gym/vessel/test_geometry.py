@@ -1,26 +1,18 @@
-"""Geometric models: closed surfaces of the given size and volume, and mesh files."""
+"""Geometric models: closed surfaces of the given size and volume."""
 
 from __future__ import annotations
-
-import dataclasses
-import pickle
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import usv_gym
 from usv_gym import Vessel, vessel_names
-from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
+from usv_gym.vessel.geometry import Form, Mesh, boat_of
 from usv_gym.vessel.hull_lines import HullLines
-from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
+from usv_gym.vessel.vessel import KIND_SCHEMA
 
 trimesh = pytest.importorskip("trimesh")
-
-USV75 = Path(usv_gym.__file__).parent / "vessel" / "vessels" / "usv75.toml"
 
 
 def submerged(mesh: Mesh) -> float:
@@ -158,130 +150,3 @@ def test_any_boat_can_be_drawn(form: Form) -> None:
     assert hull.bounds[1, 2] == pytest.approx(form.draft)
     for part in boat_of(form).parts:
         check_solid(part.mesh)
-
-
-def with_mesh(folder: Path, mesh: str) -> Path:
-    """Write usv75 with a mesh; return its file."""
-    path = folder / "mine.toml"
-    text = USV75.read_text(encoding="utf-8")
-    path.write_text(text.replace("[vessel]", f'[vessel]\nmesh = "{mesh}"', 1), encoding="utf-8")
-    return path
-
-
-UPRIGHT = np.diag([1.0, -1.0, -1.0])
-GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
-def write_mesh(path: Path, boat: Boat) -> None:
-    """Write the parts of a boat as a mesh file: .glb has y up, others z up."""
-    turn = GLTF if path.suffix == ".glb" else UPRIGHT
-    scene = trimesh.Scene()
-    for part in boat.parts:
-        vertices = part.mesh.moved(boat.position_of(part)).vertices @ turn.T
-        solid = trimesh.Trimesh(vertices, part.mesh.faces, process=False)
-        material = trimesh.visual.material.PBRMaterial(baseColorFactor=[*part.colour, 255])
-        solid.visual = trimesh.visual.TextureVisuals(material=material)
-        scene.add_geometry(solid, node_name=part.name, geom_name=part.name)
-    if path.suffix == ".glb":
-        scene.export(path)
-    else:
-        scene.to_geometry().export(path)
-
-
-@pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_a_mesh_file_replaces_hull_and_superstructure(tmp_path: Path, suffix: str) -> None:
-    boat = boat_of(Vessel.load("usv75"))
-    hull = dataclasses.replace(boat["hull"], colour=(10, 200, 30))
-    write_mesh(tmp_path / f"hull{suffix}", Boat((hull,)))
-    vessel = Vessel.load(with_mesh(tmp_path, f"hull{suffix}"))
-    again = boat_of(vessel)
-    assert [part.name for part in again.parts[1:]] == [
-        part.name for part in boat.parts if part.moves or part.name.startswith("bracket")
-    ]
-    assert hull_of(vessel).volume == pytest.approx(hull.mesh.volume, rel=1e-4)
-    np.testing.assert_allclose(again.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
-    if suffix == ".glb":
-        assert again.parts[0].colour == (10, 200, 30)
-
-
-def test_drives_of_a_glb_file_take_the_place_of_drawn_ones(tmp_path: Path) -> None:
-    boat = boat_of(Vessel.load("usv75"))
-    write_mesh(tmp_path / "boat.glb", boat)
-    again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
-    assert {part.name for part in again.parts} == {part.name for part in boat.parts}
-    for part in boat.parts:
-        back = again[part.name]
-        np.testing.assert_allclose(back.mesh.bounds, part.mesh.bounds, atol=1e-5)
-        np.testing.assert_allclose(again.position_of(back), boat.position_of(part))
-        assert (back.moves, back.parent, back.unit) == (part.moves, part.parent, part.unit)
-
-
-def test_a_vessel_keeps_its_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_mesh(tmp_path / "boat.glb", boat_of(Vessel.load("usv75")))
-    with_mesh(tmp_path, "boat.glb")
-    monkeypatch.chdir(tmp_path.parent)
-    vessel = Vessel.load(f"{tmp_path.name}/mine.toml")
-    monkeypatch.chdir("/")
-    for other in (
-        pickle.loads(pickle.dumps(vessel)),
-        vessel.varied(np.random.default_rng(0)),
-        dataclasses.replace(vessel, name="other"),
-    ):
-        assert other.mesh == (tmp_path / "boat.glb").resolve()
-        boat_of(other)
-
-
-def refused(folder: Path, mesh: str, message: str) -> None:
-    with pytest.raises(VesselError, match=message) as caught:
-        boat_of(Vessel.load(with_mesh(folder, mesh)))
-    assert mesh in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_bad_mesh_files_are_refused(tmp_path: Path) -> None:
-    refused(tmp_path, "none.glb", "no file")
-    (tmp_path / "boat.fbx").touch()
-    refused(tmp_path, "boat.fbx", r"\.glb, \.stl")
-    damaged = b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8), b"none \xff\0"
-    for suffix in MESH_FORMATS:
-        for content in damaged:
-            (tmp_path / f"bad{suffix}").write_bytes(content)
-            refused(tmp_path, f"bad{suffix}", "can be read|no triangles")
-    for text, word in (
-        ("# nothing\n", "can be read|no triangles"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "can be read|no triangles"),
-        ("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
-    ):
-        (tmp_path / "bad.obj").write_text(text)
-        refused(tmp_path, "bad.obj", word)
-    boat = boat_of(Vessel.load("usv75"))
-    write_mesh(tmp_path / "drive.glb", Boat((boat["drive_left"],)))
-    refused(tmp_path, "drive.glb", "hull")
-
-
-@pytest.mark.parametrize(
-    ("change", "moved", "message"),
-    [
-        (np.eye(3) * 1e3, 0.0, "in mm"),
-        (np.eye(3) * 100.0, 0.0, "in cm"),
-        (np.eye(3) / 0.3048, 0.0, "in feet"),
-        (np.eye(3) * 5.0, 0.0, "must be in m"),
-        (np.eye(3)[[2, 1, 0]], 0.0, "axes"),
-        (np.eye(3), 500.0, "origin"),
-    ],
-)
-def test_a_mesh_of_another_size_or_place_is_refused(
-    tmp_path: Path, change: np.ndarray, moved: float, message: str
-) -> None:
-    hull = boat_of(Vessel.load("usv75"))["hull"]
-    mesh = Mesh(hull.mesh.vertices @ change, hull.mesh.faces).moved([moved, 0.0, 0.0])
-    write_mesh(tmp_path / "wrong.stl", Boat((dataclasses.replace(hull, mesh=mesh),)))
-    refused(tmp_path, "wrong.stl", message)
-
-
-def test_missing_trimesh_is_reported_with_the_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "boat.stl").touch()
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    refused(tmp_path, "boat.stl", r"usv-twin\[view\]")
