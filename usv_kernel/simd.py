@@ -26,7 +26,6 @@ __all__ = [
     "dots",
     "inner",
     "padded",
-    "transpose",
 ]
 
 LANES = 16
@@ -373,81 +372,6 @@ def _from(builder: ir.IRBuilder, lane: Any, lanes: int) -> Any:
     return builder.fcmp_ordered(
         ">=", numbers, _broadcast(builder, builder.sitofp(lane, _DOUBLE), lanes)
     )
-
-
-@intrinsic
-def transpose(typing_context, to, at, apart, rows, first, width, size, count):
-    """Write ``rows[first + i width + k]`` to ``to[at + k apart + i]``, i < size and k < count.
-
-    By squares of four, of which the last overlap those before. What is written must not be what is
-    still to be read; otherwise as :func:`accumulate`.
-    """
-    _check_rows(to, rows)
-    whole = types.intp
-    signature = types.void(to, whole, whole, rows, whole, whole, whole, whole)
-
-    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
-        to, at, apart, rows, first, width, size, count = args
-        target = _pointer(context, builder, sig.args[0], to, at)
-        source = _pointer(context, builder, sig.args[3], rows, first)
-        index = count.type
-        four = ir.VectorType(_DOUBLE, 4).as_pointer()
-
-        def place(base: Any, row: Any, across: Any, column: Any) -> Any:
-            return builder.gep(base, [builder.add(builder.mul(row, across), column)])
-
-        def shuffled(a: Any, b: Any, order: tuple[int, ...]) -> Any:
-            return builder.shuffle_vector(
-                a, b, ir.Constant(ir.VectorType(ir.IntType(32), 4), list(order))
-            )
-
-        def square(i: Any, k: Any) -> None:
-            a, b, c, d = (
-                builder.load(
-                    builder.bitcast(place(source, builder.add(i, index(j)), width, k), four),
-                    align=8,
-                )
-                for j in range(4)
-            )
-            low, high = shuffled(a, b, (0, 4, 2, 6)), shuffled(a, b, (1, 5, 3, 7))
-            low_2, high_2 = shuffled(c, d, (0, 4, 2, 6)), shuffled(c, d, (1, 5, 3, 7))
-            columns = (
-                shuffled(low, low_2, (0, 1, 4, 5)),
-                shuffled(high, high_2, (0, 1, 4, 5)),
-                shuffled(low, low_2, (2, 3, 6, 7)),
-                shuffled(high, high_2, (2, 3, 6, 7)),
-            )
-            for j, column in enumerate(columns):
-                where = place(target, builder.add(k, index(j)), apart, i)
-                builder.store(column, builder.bitcast(where, four), align=8)
-
-        def places(total: Any) -> Any:
-            """Run over the places of squares along a side."""
-            groups = builder.sdiv(builder.add(total, index(3)), index(4))
-            return groups, builder.sub(total, index(4))
-
-        big = builder.and_(
-            builder.icmp_signed(">=", size, index(4)), builder.icmp_signed(">=", count, index(4))
-        )
-        with builder.if_else(big) as (squares, single):
-            with squares:
-                (down, last), (along, end) = places(size), places(count)
-                with cgutils.for_range(builder, down) as outer:
-                    i = builder.mul(outer.index, index(4))
-                    i = builder.select(builder.icmp_signed("<", i, last), i, last)
-                    with cgutils.for_range(builder, along) as loop:
-                        k = builder.mul(loop.index, index(4))
-                        square(i, builder.select(builder.icmp_signed("<", k, end), k, end))
-            with (
-                single,
-                cgutils.for_range(builder, size) as outer,
-                cgutils.for_range(builder, count) as loop,
-            ):
-                number = builder.load(place(source, outer.index, width, loop.index))
-                builder.store(number, place(target, loop.index, apart, outer.index))
-        return context.get_dummy_value()
-
-    return signature, generate
 
 
 @intrinsic

@@ -20,7 +20,6 @@ from usv_kernel.simd import (
     combine,
     dots,
     inner,
-    transpose,
 )
 
 GUARD = 12345.0
@@ -44,11 +43,6 @@ def add_matrix(block, factors, rows):
 @kernel
 def product(a, first, b, start, count):
     return inner(a, first, b, start, count)
-
-
-@kernel
-def turn(to, at, apart, rows, first, width, size, count):
-    transpose(to, at, apart, rows, first, width, size, count)
 
 
 @kernel
@@ -162,25 +156,6 @@ def test_inner_takes_so_many_numbers_and_no_more(count, places):
     a[first : first + count], b[start : start + count] = rng.normal(size=(2, count))
     expected = a[first : first + count] @ b[start : start + count]
     assert abs(product(a, first, b, start, count) - expected) < 1e-13
-
-
-@settings(deadline=None)  # the first call compiles
-@given(
-    size=st.integers(0, 13),
-    count=st.integers(0, 30),
-    gaps=st.tuples(*[st.integers(0, 3)] * 4),
-)
-def test_columns_become_rows_and_nothing_else(size, count, gaps):
-    at, first, over, extra = gaps
-    apart, width = size + over, count + extra
-    rows = np.arange(float(first + size * width + count + 1))
-    to = np.full(at + count * apart + size + 1, GUARD)
-    turn(to, at, apart, rows, first, width, size, count)
-    expected = np.full(len(to), GUARD)
-    for i in range(size):
-        for k in range(count):
-            expected[at + k * apart + i] = rows[first + i * width + k]
-    np.testing.assert_array_equal(to, expected)
 
 
 def test_rows_may_lie_in_the_array_that_they_are_added_to():

@@ -44,7 +44,7 @@ from twin.filters.linalg import add_product
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
-from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded, transpose
+from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded
 
 __all__ = [
     "UKFWorkspace",
@@ -288,9 +288,10 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         across, row = P[i, n_s:], rows[i, n_s:n]
         for k in range(n - n_s):
             across[k] = row[k]
-    transpose(P, n_s * n, n, P, n_s, n, n_s, n - n_s)
-    own = P[n_s:, n_s:]
+    across, below, own = P[:n_s, n_s:], P[n_s:, :n_s], P[n_s:, n_s:]
     for k in range(n - n_s):
+        for i in range(n_s):
+            below[k, i] = across[i, k]
         own[k, k] += q_xi[k]
     return 0
 

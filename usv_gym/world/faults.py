@@ -158,6 +158,9 @@ A factor of ``scale``, of a thruster's shaft speed; s of ``late``; m of ``jump``
 unit of the sensor (m/s, rad, rad/s, m/s2), of ``ramp`` that a second. All axes of a sensor get it;
 of GPS velocity the northern one, of the wind its speed."""
 
+RENAMED = {"reversed": "sign", "scaled": "scale"}
+"""Names that effects had before, for the message that refuses them."""
+
 _FACTORS = {"zero": 0.0, "sign": -1.0}
 """Factors of effects that have one of their own."""
 
@@ -234,12 +237,16 @@ class Disturbance(ABC):
         How much, see :data:`AMOUNTS`.
     chance : float
         Share of samples that a fault of ``spikes`` spoils.
+    sizes : tuple of float
+        How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign; those
+        of :data:`MOTION_CHANNELS`, and then of :data:`WIND_CHANNELS`, may follow.
     """
 
     kind: str
     effect: str = dataclasses.field(default="loss", kw_only=True)
     amount: float | None = dataclasses.field(default=None, kw_only=True)
     chance: float = dataclasses.field(default=0.1, kw_only=True)
+    sizes: tuple[float, ...] = dataclasses.field(default=SPIKE_SIZES, kw_only=True)
 
     code: ClassVar[int]
 
@@ -254,15 +261,21 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
             )
+        upright = len(SENSOR_CHANNELS)
+        known = ((upright,), (upright + len(MOTION_CHANNELS),), (CHANNELS,))
+        if np.shape(self.sizes) not in known or not all(map(is_finite, self.sizes)):
+            raise FaultError(
+                f"{self.kind} fault: sizes must be {len(SENSOR_CHANNELS)} finite numbers, one for "
+                "each of usv_kernel.channels.SENSOR_CHANNELS, or also one for each of "
+                f"MOTION_CHANNELS, and of WIND_CHANNELS, got {self.sizes}"
+            )
 
     def _check_effect(self) -> None:
         """Refuse an effect that the kind does not have, or an impossible amount of it."""
         kind, effect = self.kind, self.effect
         if effect not in EFFECTS:
-            raise FaultError(
-                f"{kind} fault: no effect is called {effect!r}{did_you_mean(effect, EFFECTS)}; use "
-                f"{', '.join(EFFECTS)}"
-            )
+            new = f"is called {RENAMED[effect]!r}" if effect in RENAMED else "does not exist"
+            raise FaultError(f"{kind} fault: effect {effect!r} {new}; use {', '.join(EFFECTS)}")
         if kind not in AMOUNTS[effect]:
             own = (name for name, kinds in AMOUNTS.items() if kind in kinds)
             raise FaultError(f"{kind} fault: it has no effect {effect!r}; use {', '.join(own)}")
@@ -323,7 +336,7 @@ class Disturbance(ABC):
         record = np.zeros(1, FAULT)[0]
         record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
         record["chance"] = self.chance
-        record["sizes"][:CHANNELS] = SPIKE_SIZES
+        record["sizes"][:CHANNELS] = (*self.sizes, *SPIKE_SIZES[len(self.sizes) :])
         record["offsets"], record["rates"] = self._errors()
         record["factor"] = _FACTORS.get(self.effect, self.amount or 0.0)
         record["delay"] = self.delay
@@ -338,7 +351,7 @@ class Fault(Disturbance):
 
     Parameters
     ----------
-    kind, effect, amount, chance
+    kind, effect, amount, chance, sizes
         What is struck and how: see :class:`Disturbance`.
     start, duration : float
         When it begins and how long it lasts, s.
@@ -371,7 +384,7 @@ class RandomFaults(Disturbance):
 
     Parameters
     ----------
-    kind, effect, amount, chance
+    kind, effect, amount, chance, sizes
         What is struck and how: see :class:`Disturbance`.
     gap, duration : tuple of float
         Shortest and longest time between two, and of each, s; uniform.
@@ -414,7 +427,7 @@ class Bursts(Disturbance):
 
     Parameters
     ----------
-    kind, effect, amount, chance
+    kind, effect, amount, chance, sizes
         What is struck and how: see :class:`Disturbance`.
     loss : float
         Mean share of steps that are struck, above 0 and below 1.
@@ -541,7 +554,7 @@ def _plain(number: float) -> str:
 def fault_text(fault: Disturbance, start: float | None = None) -> str:
     """Return a fault as the text that :func:`parse_faults` reads, its start to a tenth of a second.
 
-    Gaps and durations of random faults are not in it. A ``start`` (s)
+    Gaps and durations of random faults, and sizes of spikes, are not in it. A ``start`` (s)
     replaces that of a :class:`Fault`.
     """
     name = fault.kind if fault.effect == "loss" else f"{fault.kind}-{fault.effect}"

@@ -35,7 +35,7 @@ from usv_gym.world.faults import (
     parse_faults,
 )
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import GYRO, MOTION_CHANNELS, SENSOR_CHANNELS
+from usv_kernel.channels import GYRO
 
 COUNT = 200
 FIRST, END = 40, 100
@@ -266,8 +266,8 @@ def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, n
 
 
 def test_spikes_come_with_their_chance_and_either_sign() -> None:
-    sizes = SPIKE_SIZES[: len(SENSOR_CHANNELS) + len(MOTION_CHANNELS)]
-    fault = Fault("all", 0.0, 1e4, effect="spikes", chance=0.2)
+    sizes = (30.0, 31.0, 3.0, 4.0, 1.0, 0.2, 6.0, 7.0, 0.3, 0.4, 8.0, 0.5, 0.6, 32.0, 5.0)
+    fault = Fault("all", 0.0, 1e4, effect="spikes", chance=0.2, sizes=sizes)
     clean, z = struck(fault, 20_000)
     off = z - clean
     hit = off[:, 0] != 0.0
@@ -524,7 +524,10 @@ def test_faults_that_are_not_understood_are_refused(text: str) -> None:
         (lambda: Fault("gps", math.nan, 1.0), "start"),
         (lambda: Fault("gps", 0.0, 1.0, effect="stuck"), "stuck"),
         (lambda: Fault("gps", 0.0, 1.0, effect="spikes", chance=1.5), "chance"),
+        (lambda: Fault("gps", 0.0, 1.0, effect="spikes", sizes=(1.0, 2.0)), "sizes"),
         (lambda: Fault("accel_x", 0.0, 1.0, effect="scale", amount=1e10), "amount"),
+        (lambda: Fault("accel_x", 0.0, 1.0, effect="scaled"), "'scale'"),
+        (lambda: Fault("accel_x", 0.0, 1.0, effect="reversed"), "'sign'"),
         (lambda: Fault("gps", 0.0, 1.0, amount=1.0), "amount"),
         (lambda: Fault("gps", 0.0, 1.0, effect="late", amount=-1.0), "amount"),
         (lambda: Fault("gps", 0.0, 1.0, effect="bias"), "jump"),
