@@ -10,13 +10,14 @@ import math
 from pathlib import Path
 
 import numpy as np
+import rao
+import trials
 from matplotlib.figure import Figure
+from trials import Track
 
 from usv_gym import SeaState, Vessel
 from usv_gym.hydro.motions import response
 from usv_gym.hydro.table import between
-from usv_gym.manoeuvring import indices, rao, trials
-from usv_gym.manoeuvring.indices import Track, TrackError
 from usv_gym.physics import GRAVITY, ship, spectra
 from usv_gym.physics import frames as fr
 from usv_gym.physics.waves import drift_at
@@ -162,7 +163,7 @@ def replay(path):
     names = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
     names |= {"r": "r_radps", "delta": "delta_rad"}
     measured = Track(**{ours: log[theirs] for ours, theirs in names.items()})
-    shaft, helm = log["n_rps"], measured.helm
+    shaft, helm = log["n_rps"], measured.delta
     columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
     states = np.zeros((len(measured.t), fr.STATE_SIZE))
     for name, column in columns.items():
@@ -182,10 +183,8 @@ def replay(path):
 def first_overshoot(track, switch):
     """Return it in degrees; a dash where the heading never reached the switch."""
     try:
-        found = indices.zigzag(
-            track, length=LENGTH_M, switch=math.radians(switch), origin=0.0, heading=0.0
-        )
-    except TrackError:
+        found = trials.zigzag_indices(track, math.radians(switch), origin=0.0, heading=0.0)
+    except ValueError:
         return "-"
     return math.degrees(found.overshoots[0]) if found.overshoots else "-"
 
@@ -205,7 +204,7 @@ def draw_turns(path):
     for side, sign, colour in (("starboard", 1.0, "#0072B2"), ("port", -1.0, "#E69F00")):
         k = 0 if sign > 0 else 1
         track = trials.turning_circle(
-            Vessel.load("kvlcc2_l7"), angle=sign * math.radians(35.0), n=SHAFT_RPS, speed=SPEED_MPS
+            Vessel.load("kvlcc2_l7"), sign * math.radians(35.0), n=SHAFT_RPS, speed=SPEED_MPS
         )
         part = np.abs(track.psi) < 3.0 * math.pi
         x, y = track.x[part] / LENGTH_M, track.y[part] / LENGTH_M

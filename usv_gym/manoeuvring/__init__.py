@@ -1,4 +1,4 @@
-"""Manoeuvres, standard trials and their indices, and responses to waves.
+"""Timed manoeuvres, and a survey by an autopilot.
 
 May import usv_gym.physics, vessel and world.
 """

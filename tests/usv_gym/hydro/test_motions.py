@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from examples.validation import rao
 from usv_gym import SeaState, Vessel
 from usv_gym.hydro.motions import response
 from usv_gym.hydro.table import between
-from usv_gym.manoeuvring import rao
 from usv_gym.physics import GRAVITY, waves
 from usv_gym.physics import ship as ship_kernels
 from usv_gym.world.realisation import Sea, drift_table, load_rows

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from examples.validation import rao
 from usv_gym import SeaState, Vessel
 from usv_gym.hydro.motions import natural_frequencies, response
 from usv_gym.hydro.table import HydroTable, between
-from usv_gym.manoeuvring import rao
 from usv_gym.physics import GRAVITY, ship, spectra
 from usv_gym.physics import frames as fr
 from usv_gym.physics.waves import drift_at

@@ -11,9 +11,9 @@ import math
 import numpy as np
 import pytest
 
+from examples.validation import trials
+from examples.validation.trials import StandardTrials
 from usv_gym import Vessel
-from usv_gym.manoeuvring import indices, trials
-from usv_gym.manoeuvring.trials import StandardTrials
 from usv_gym.physics import KNOT
 
 # Results of separate code with the same equations and parameters, a shaft speed (rev/s) each.
@@ -83,10 +83,10 @@ def test_the_model_turns_as_in_the_towing_tank() -> None:
     """MARIN free-running tests, SIMMAN 2008: 5 % to starboard, 6 % to port required in advance."""
     model = Vessel.load("kvlcc2_l7")
     circles = [
-        trials.turning_circle(model, angle=math.radians(angle), n=10.4, speed=1.179)
+        trials.turning_circle(model, math.radians(angle), n=10.4, speed=1.179)
         for angle in (35.0, -35.0)
     ]
-    starboard, port = (indices.turning(track, length=7.0) for track in circles)
+    starboard, port = (trials.turning_indices(track, 7.0) for track in circles)
     assert starboard.advance == pytest.approx(3.25, rel=0.05)
     assert starboard.tactical_diameter == pytest.approx(3.34, rel=0.05)
     assert port.advance == pytest.approx(3.12, rel=0.06)

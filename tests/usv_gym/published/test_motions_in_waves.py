@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import spherical_jn
 
+from examples.validation import rao
 from tests.usv_gym.published.in_waves import check_drift, check_motions, check_natural_modes, decay
 from usv_gym import Vessel
-from usv_gym.manoeuvring import rao
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from examples.validation import trials
 from usv_gym import Vessel
-from usv_gym.manoeuvring import indices, trials
 from usv_gym.physics import KNOT
 from usv_gym.vessel.vessel import course_eigenvalues
 
@@ -50,22 +50,22 @@ def test_turns_with_20_degrees_of_drive_angle(
 ) -> None:
     """Speed, rate and radius of the steady turn; radius, advance and diameter in lengths."""
     angle = math.radians(20.0)
-    track = trials.turning_circle(BOAT, angle=angle, n=shaft_speed_at(knots))
-    speed, rate = math.hypot(*track.motion[:2, -1]), track.motion[2, -1]
+    track = trials.turning_circle(BOAT, angle, n=shaft_speed_at(knots))
+    speed, rate = track.speed[-1], track.r[-1]
     # the references have two figures
     assert speed == pytest.approx(speed_mps, rel=0.03)
     assert math.degrees(rate) == pytest.approx(rate_degps, rel=0.03)
     assert speed / rate / LENGTH_OVERALL == pytest.approx(radius, rel=0.03)
     if advance is not None:
-        found = indices.turning(track, length=LENGTH_OVERALL)
+        found = trials.turning_indices(track, LENGTH_OVERALL)
         assert found.advance == pytest.approx(advance, rel=0.03)
         assert found.tactical_diameter == pytest.approx(diameter, rel=0.03)
 
 
 def test_overshoots_of_a_20_20_zigzag() -> None:
     switch = math.radians(20.0)
-    track = trials.zigzag(BOAT, switch=switch, helm=switch, n=shaft_speed_at(11.0))
-    found = indices.zigzag(track, length=LENGTH_OVERALL, switch=switch).overshoots
+    track = trials.zigzag(BOAT, switch, switch, n=shaft_speed_at(11.0))
+    found = trials.zigzag_indices(track, switch).overshoots
     # separate code: 12 to 20 degrees, and a degree
     assert math.degrees(min(found)) > 11.0 and math.degrees(max(found)) < 21.0
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from examples.validation.rao import respond
 from usv_gym import Vessel
-from usv_gym.manoeuvring.rao import respond
 from usv_gym.physics import GRAVITY
 from usv_gym.world.realisation import Sea
 

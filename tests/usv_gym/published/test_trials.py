@@ -1,0 +1,191 @@
+"""Trials of examples/validation: closed forms, symmetry, scaling, recorded runs of KVLCC2."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.validation import trials
+from examples.validation.trials import Track
+from usv_gym import Vessel
+from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
+
+SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
+KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
+DEGREE = math.pi / 180.0
+BOAT = Vessel.load("usv75")
+LWL = BOAT.values["length_waterline"]
+LENGTH, SPEED, RADIUS, APPROACH = 7.0, 1.5, 12.0, 4.0
+
+SCHEMAS = [*SCHEMA.values(), *KIND_SCHEMA.values()]
+UNIT_OF = {key: unit for keys in SCHEMAS for key, (unit, _) in keys.items()}
+
+
+def track_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, psi: np.ndarray, helm: float) -> Track:
+    """Return a track with the velocities of its slopes, and a helm that moves at the approach."""
+    north, east = np.gradient(x, t), np.gradient(y, t)
+    c, s = np.cos(psi), np.sin(psi)
+    u, v, r = c * north + s * east, c * east - s * north, np.gradient(psi, t)
+    return Track(t=t, x=x, y=y, psi=psi, u=u, v=v, r=r, delta=np.where(t > APPROACH, helm, 0.0))
+
+
+def triangles(t: np.ndarray, switch: float, overshoot: float, rate: float) -> Track:
+    """Return triangular headings, to starboard first."""
+    top = switch + overshoot
+    phase = np.maximum(t - APPROACH, 0.0) * rate / top
+    psi = top * (np.abs((phase - 1.0) % 4.0 - 2.0) - 1.0)
+    steps = SPEED * np.gradient(t)
+    x, y = np.cumsum(steps * np.cos(psi)), np.cumsum(steps * np.sin(psi))
+    return track_of(t, x, y, psi, switch)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.2])
+def test_turning_of_a_circle_has_closed_form_indices(drift: float) -> None:
+    t = 0.02 * np.arange(4000)
+    angle = np.maximum(t - APPROACH, 0.0) * SPEED / RADIUS
+    x = np.where(t > APPROACH, RADIUS * np.sin(angle), SPEED * (t - APPROACH))
+    psi = angle + np.where(t > APPROACH, drift, 0.0)
+    track = track_of(t, x, RADIUS * (1.0 - np.cos(angle)), psi, 0.5)
+    got, R = trials.turning_indices(track, LENGTH), RADIUS / LENGTH
+    # the course lags the heading by the drift angle; a sample's way is 0.03 m of 12 m
+    advance, transfer = R * math.cos(drift), R * (1.0 - math.sin(drift))
+    diameter = R * (1.0 + math.cos(drift))
+    assert got == pytest.approx((1, advance, transfer, diameter, 1 / R, R, drift, 1.0), abs=5e-3)
+    other = trials.turning_indices(track.mirrored(), LENGTH)
+    assert other.side == -1 and other[1:] == pytest.approx(got[1:], rel=1e-9)
+
+
+def test_zigzag_of_triangles_has_closed_form_indices() -> None:
+    switch, overshoot, rate = 10.0 * DEGREE, 4.0 * DEGREE, 2.0 * DEGREE
+    t = 0.01 * np.arange(6000)
+    track = triangles(t, switch, overshoot, rate)
+    got = trials.zigzag_indices(track, switch, origin=APPROACH)
+    # 5 s to 10 degrees, 2 s to the peak, 14 s from switch to switch
+    assert got.side == 1 and len(got.overshoots) == 4
+    np.testing.assert_allclose(got.executes, [0.0, 5.0, 19.0, 33.0, 47.0], atol=1e-6)
+    np.testing.assert_allclose(got.overshoots, overshoot, atol=0.01 * rate)
+    # overshoots without a peak are left out
+    for end, seen in ((6.9, 0), (8.0, 1), (20.9, 1)):
+        part = triangles(t[t <= APPROACH + end], switch, overshoot, rate)
+        assert len(trials.zigzag_indices(part, switch, origin=APPROACH).overshoots) == seen
+
+
+def test_incomplete_manoeuvres_are_refused() -> None:
+    small = triangles(0.05 * np.arange(2000), 6 * DEGREE, 2 * DEGREE, DEGREE)
+    with pytest.raises(ValueError, match="never reached 10 degrees"):
+        trials.zigzag_indices(small, 10 * DEGREE)
+    with pytest.raises(ValueError, match="never reached 180 degrees"):
+        trials.turning_indices(small, LENGTH)
+    with pytest.raises(ValueError, match="not done"):
+        trials.zigzag(BOAT, 99.0, 0.02, 20.4, dt=0.05)
+
+
+def assert_mirrored(port: Track, starboard: Track) -> None:
+    for item in dataclasses.fields(Track):
+        # left and right are added in the other order
+        there, here = getattr(port, item.name), getattr(starboard.mirrored(), item.name)
+        np.testing.assert_allclose(there, here, atol=1e-9)
+
+
+def test_trials_are_alike_to_port() -> None:
+    n = BOAT.values["shaft_speed_manoeuvring"]
+    circles = [trials.turning_circle(BOAT, sign * 20.0 * DEGREE, n) for sign in (1.0, -1.0)]
+    assert_mirrored(circles[1], circles[0])
+    switch = 20.0 * DEGREE
+    track, port = (trials.zigzag(BOAT, switch, sign * switch, n) for sign in (1.0, -1.0))
+    assert_mirrored(port, track)
+    # the helm reverses within a step of the switch
+    turned = np.flatnonzero(np.diff(np.sign(track.delta[1:]))) + 1
+    at = track.psi[turned] * np.sign(track.delta[turned])
+    step = np.abs(track.r).max() * track.t[1]
+    assert len(turned) == 4
+    assert np.all((at >= switch) & (at < switch + 1.01 * step))
+
+
+def power(unit: str) -> float:
+    """Return the power of length with which a unit scales by Froude's law."""
+    total, sign = 0.0, 1.0
+    for part in unit.replace("/", " / ").split():
+        if part == "/":
+            sign = -1.0
+            continue
+        name = part.rstrip("0123456789")
+        times = float(part[len(name) :] or 1.0)
+        total += sign * times * {"m": 1.0, "kg": 3.0, "s": 0.5}.get(name, 0.0)
+    return total
+
+
+def compared(
+    one: trials.StandardTrials, other: trials.StandardTrials, rel: float, angle: float
+) -> None:
+    for a, b in zip(one.turning, other.turning, strict=True):
+        assert b == pytest.approx(a, rel=rel)
+    for ours, theirs in ((one.zigzag_10, other.zigzag_10), (one.zigzag_20, other.zigzag_20)):
+        for a, b in zip(ours, theirs, strict=True):
+            assert b.overshoots == pytest.approx(a.overshoots, rel=rel, abs=angle)
+
+
+def test_indices_depend_neither_on_the_scale_nor_on_the_step() -> None:
+    standard = trials.standard_trials(BOAT, 25.6)
+    assert [run.side for run in standard.turning + standard.zigzag_10] == [1, -1, 1, -1]
+    # a ship of 320 m, similar by Froude's law
+    scale = 320.0 / LWL
+    big = dataclasses.replace(
+        BOAT,
+        values={key: a * scale ** power(UNIT_OF[key]) for key, a in BOAT.values.items()},
+        resistance_speed=tuple(v * scale**0.5 for v in BOAT.resistance_speed),
+        resistance_force=tuple(f * scale**3 for f in BOAT.resistance_force),
+    )
+    compared(standard, trials.standard_trials(big, 25.6 / math.sqrt(scale)), 1e-6, 1e-6)
+    dt = 0.005 * LWL / BOAT.straight_speed(25.6)
+    # the helm is reversed up to a step late: 0.005 L / U of a rate of r L / U = 1
+    compared(standard, trials.standard_trials(BOAT, 25.6, dt=0.25 * dt), 2e-3, 0.005)
+
+
+def recorded(name: str) -> Track:
+    path = KVLCC2 / f"{name}.csv.gz"
+    if not path.exists():
+        pytest.skip(f"{path} is missing (set USV_TWIN_SHARED); it must not be redistributed")
+    log = np.genfromtxt(path, delimiter=",", names=True)
+    columns = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
+    columns |= {"r": "r_radps", "delta": "delta_rad"}
+    return Track(**{ours: log[theirs] for ours, theirs in columns.items()})
+
+
+def test_recorded_turn_has_published_indices() -> None:
+    # MARIN, 35 degrees to port, with a pull-out; values published with the data
+    track = recorded("marin_tc_35")
+    got = trials.turning_indices(track, 7.0, origin=0.0, heading=0.0)
+    assert got.side == -1
+    # two decimals and another window of the steady turn: 0.02
+    assert got.advance == pytest.approx(3.11, abs=0.02)
+    assert got.transfer == pytest.approx(1.22, abs=0.02)
+    assert got.tactical_diameter == pytest.approx(3.08, abs=0.02)
+    assert got.rate == pytest.approx(0.83, abs=0.02)
+    assert got.radius == pytest.approx(1.19, abs=0.02)
+    assert got.speed_ratio == pytest.approx(0.361, abs=0.02)
+    # published from the first motion of the rudder
+    assert trials.turning_indices(track, 7.0, heading=0.0).advance == pytest.approx(3.00, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "switch", "overshoots"),
+    [
+        ("marin_zz_10", -1, 10.0, (9.5, 15.0)),
+        ("marin_zz_20", -1, 20.0, (15.1, 13.3)),
+        ("hsva_z_10_10_s", 1, 10.0, (9.7, 20.5)),
+        ("hsva_z_20_10_s", 1, 10.0, (11.7, 15.6)),
+    ],
+)
+def test_recorded_zigzags_have_published_overshoots(
+    name: str, side: int, switch: float, overshoots: tuple[float, float]
+) -> None:
+    got = trials.zigzag_indices(recorded(name), switch * DEGREE, origin=0.0, heading=0.0)
+    assert got.side == side
+    # one decimal: 0.05
+    np.testing.assert_allclose(np.degrees(got.overshoots[:2]), overshoots, atol=0.06)
