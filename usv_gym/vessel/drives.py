@@ -48,7 +48,7 @@ def _drive(form: Form, name: str, unit: int, y: float) -> list[Part]:
         )
         low, high = -0.6 * form.freeboard, -0.15 * form.freeboard
         bracket = prism(low, high, x + 0.1 * D, form.stern + 0.1 * D, 0.2 * D, 8.0)
-        parts.append(Part(f"bracket{name}", bracket.moved([0.0, y, 0.0]), COLOURS["mast"]))
+        parts.append(Part(f"bracket{name}", bracket.moved([0.0, y, 0.0]), COLOURS["drive"]))
     drive = Part(
         name=f"drive{name}",
         mesh=Mesh.joined(leg),

@@ -119,13 +119,6 @@ def revolve(profile: Sequence[tuple[float, float]], axis: int, points: int = 12)
     return loft(rings, caps=(profile[0][1] > 0.0, profile[-1][1] > 0.0))
 
 
-def sphere(radius: float, centre: Sequence[float]) -> Mesh:
-    """Return a sphere."""
-    angle = np.linspace(0.0, math.pi, 7)
-    profile = [(-radius * math.cos(a), radius * math.sin(a)) for a in angle[1:-1]]
-    return revolve([(-radius, 0.0), *profile, (radius, 0.0)], 2).moved(centre)
-
-
 def foil(chord: float, thick: float, low: float, high: float, lead: float) -> Mesh:
     """Return a vertical blade from z = low to high, its nose ``lead`` ahead of the z axis, m."""
     s = np.array([0.0, 0.08, 0.3, 0.6, 1.0])

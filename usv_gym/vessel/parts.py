@@ -16,9 +16,6 @@ COLOURS: dict[str, Colour] = {
     "hull": (32, 74, 112),
     "deck": (196, 202, 206),
     "superstructure": (240, 241, 238),
-    "windows": (28, 36, 44),
-    "mast": (86, 94, 100),
-    "sensors": (230, 159, 0),
     "drive": (62, 68, 74),
     "propeller": (181, 134, 52),
 }
