@@ -47,9 +47,11 @@ __all__ = [
     "BANK_SETTINGS",
     "FILTERS",
     "LEFT_OUT",
+    "LEVEL_MAX",
     "advance_bank",
     "aid_ratio",
     "bank_settings",
+    "begin_anew",
     "begin_at_fix",
     "convert",
     "forget_tests",
@@ -82,6 +84,9 @@ LEFT_OUT = np.array(
 """What each filter leaves out: nothing, one sensor, or the GPS."""
 
 FILTERS = len(LEFT_OUT)
+
+ALL, NO_FIXES, NO_VELOCITY, NO_GPS, NO_COMPASS, NO_GYRO, NO_ACCELEROMETERS = range(FILTERS)
+"""The filters, by what each uses or leaves out."""
 
 STATES = 8
 PN, PE, VN, VE, PSI, G, A1, A2 = range(STATES)
@@ -123,10 +128,16 @@ STEP_MAX_S = 1.0
 """Longest step of a prediction."""
 
 GAP_S = 30.0
-"""After a gap between rows of so long all filters begin again from the sensors."""
+"""After a gap between rows of so long nothing is known but that the boat is near."""
+
+LOST_SD_M = 100.0
+"""Standard deviation of a position of which nothing is known."""
+
+LOST_HEADING_SD_RAD = 0.7
+"""Standard deviation of a heading of which hardly anything is known."""
 
 LEVEL_MAX = 4.0
-"""Largest level: beyond, a sensor is at fault."""
+"""Largest level, and the one to begin with: beyond, a sensor is at fault."""
 
 TIMING_S = 0.2
 """Standard deviation of a sensor's undeclared delay."""
@@ -449,7 +460,7 @@ def _samples(one, aid, window, bank):
 def _learn_level(one, aid, span, bank):
     """Learn how much more the means vary than those of white innovations would."""
     numbers, level = float(_numbers(aid)), bank.level
-    share = min(span / min(max(bank.clock, LEARN_FIRST_S), LEARN_S), 0.1)
+    share = min(span / min(max(one.seen[aid], LEARN_FIRST_S), LEARN_S), 0.1)
     first = level[aid, 0]
     for i in range(WINDOWS):
         m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
@@ -513,6 +524,24 @@ def begin_at_fix(one, bank, given):
         one.x[i] = 0.0 if math.isnan(bank.last[i]) else bank.last[i]
     one.P[PN, PN] = one.P[PE, PE] = 4.0 * given.fix_var
     one.P[VN, VN] = one.P[VE, VE] = given.speed_var
+
+
+@kernel
+def begin_anew(bank, given):
+    """Let every filter begin near the last fix, as if nothing else had been known."""
+    for k in range(FILTERS):
+        one = bank.filters[k]
+        for i in range(STATES):
+            for j in range(STATES):
+                one.P[i, j] = 0.0
+        begin_at_fix(one, bank, given)
+        one.P[PN, PN] = one.P[PE, PE] = LOST_SD_M**2
+        one.P[PSI, PSI] = LOST_HEADING_SD_RAD**2
+        one.P[A1, A1] = one.P[A2, A2] = given.accel_bias_var
+        one.uses_gyro = one.uses_accelerometers = -1.0
+        one.since = bank.clock
+        forget_tests(one)
+    bank.force_filter = ALL
 
 
 @inlined
@@ -683,19 +712,34 @@ def _begin_epoch(bank):
         bank.samples[aid] = 0.0
 
 
+@inlined
+def _pass_gap(dt, z, bank, given):
+    """Begin anew after a gap between rows, with the samples that come after it."""
+    bank.clock += dt
+    for aid in range(SENSED):
+        bank.age[aid] += dt
+        _keep_last(bank, aid, z)
+    if not math.isnan(z[4]):
+        for k in range(FILTERS):
+            bank.filters[k].x[PSI] = z[4]
+    begin_anew(bank, given)
+    bank.rate = bank.epoch_rate = math.nan
+    bank.epoch_force[:] = math.nan
+    _begin_epoch(bank)
+
+
 @kernel
 def advance_bank(dt, z, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
     z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
     """
-    if dt > GAP_S:
-        bank.begun = bank.force_filter = 0.0
-        bank.last[:] = math.nan
-        _begin_epoch(bank)
     if bank.begun == 0.0:
         bank.clock += dt
         begin_bank(bank, z, given)
+        return False
+    if dt > GAP_S:
+        _pass_gap(dt, z, bank, given)
         return False
     _gather(dt, z, bank, given)
     if bank.span < EPOCH_S - 1e-6:

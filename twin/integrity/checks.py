@@ -14,6 +14,10 @@ from twin.integrity.bank import (
     A1,
     A2,
     LEFT_OUT,
+    NO_ACCELEROMETERS,
+    NO_COMPASS,
+    NO_GYRO,
+    NO_VELOCITY,
     PSI,
     PUSH,
     SENSED,
@@ -57,9 +61,6 @@ from twin.integrity.wind import check_wind
 from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors", "write_restart"]
-
-NO_VELOCITY, NO_COMPASS, NO_GYRO, NO_ACCELEROMETERS = 2, 4, 5, 6
-"""Filters of the bank that leave one of these out."""
 
 
 @inlined

@@ -18,19 +18,21 @@ import math
 import numpy as np
 
 from twin.integrity.bank import (
-    A1,
-    A2,
     AIDS,
     FILTERS,
     FIXES,
     GYRO,
     LEFT_OUT,
+    LOST_SD_M,
+    NO_COMPASS,
+    NO_GPS,
+    NO_GYRO,
     PE,
     PN,
-    PSI,
     SENSED,
     SILENT_S,
     STATES,
+    begin_anew,
     begin_at_fix,
     convert,
     forget_tests,
@@ -44,7 +46,6 @@ DECISION = np.dtype(
         ("in_doubt", "f8"),  # 1 while the filter in force fails
         ("failing_since", "f8"),  # clock at which it began to; below 0 it passes
         ("afresh", "f8"),  # 1 where filter 0 began from a GPS that is left out
-        ("fixed", "f8"),  # clock at which fixes were last used, s
     ]
 )
 """What is remembered of decisions."""
@@ -62,12 +63,6 @@ DECIDE_S = 6.0
 LOST_S = 15.0
 """If nothing explains a failure for so long, all begins again from the sensors."""
 
-LOST_SD_M = 100.0
-"""Standard deviation of a position of which nothing is known."""
-
-LOST_HEADING_SD_RAD = 0.7
-"""Standard deviation of a heading of which hardly anything is known."""
-
 RETURN_S = 2.0
 """What is left out is used again after filter 0 has passed for so long."""
 
@@ -75,8 +70,7 @@ FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
 
 DRIFT_SD_MAX = 20.0
-"""... and if the GPS had been away for as long before, or if it says that dead reckoning is off by
-no more than so many standard deviations."""
+"""... if it says that dead reckoning is off by no more than so many standard deviations."""
 
 RESYNC_S = 5.0
 """A filter that is not in force and fails goes on from the one in force after so long."""
@@ -86,9 +80,6 @@ RENEW_S = 12.0
 
 PASSES_WELL = 0.5
 """Ratio below which a filter passes with a margin: what returns must."""
-
-NO_GPS, NO_COMPASS, NO_GYRO = 3, 4, 5
-"""Filters that leave these out."""
 
 
 @kernel
@@ -109,25 +100,9 @@ def copy_filter(source, target, k, clock, given):
 
 
 @kernel
-def _is_minimal(bank, k, force):
-    """Return whether no filter that leaves out less than filter k passes."""
-    for other in range(FILTERS):
-        if other in (k, force) or bank.filters[other].ratio >= 1.0:
-            continue
-        part = True
-        for j in range(LEFT_OUT.shape[1]):
-            part = part and LEFT_OUT[other, j] <= LEFT_OUT[k, j]
-        if part:
-            return False
-    return True
-
-
-@kernel
 def _is_candidate(bank, k, force, device):
     """Return whether leaving out what filter k does may explain the failure."""
-    if k == force or bank.filters[k].ratio >= 1.0 or (k == NO_GPS) != device:
-        return False
-    return _is_minimal(bank, k, force)
+    return k != force and bank.filters[k].ratio < 1.0 and (k == NO_GPS) == device
 
 
 @kernel
@@ -179,23 +154,6 @@ def _is_tested(bank, k):
 
 
 @kernel
-def _begin_anew(bank, given):
-    """Let every filter begin again from the sensors, as if nothing had been known."""
-    for k in range(FILTERS):
-        one = bank.filters[k]
-        for i in range(STATES):
-            for j in range(STATES):
-                one.P[i, j] = 0.0
-        begin_at_fix(one, bank, given)
-        one.P[PN, PN] = one.P[PE, PE] = LOST_SD_M**2
-        one.P[PSI, PSI] = LOST_HEADING_SD_RAD**2
-        one.P[A1, A1] = one.P[A2, A2] = given.accel_bias_var
-        one.uses_gyro = one.uses_accelerometers = -1.0
-        one.since = bank.clock
-        forget_tests(one)
-
-
-@kernel
 def _leave_out(bank, state, force, yaw_witness, given):
     """Decide what explains that the filter in force fails; return whether another one is now."""
     filters, now = bank.filters, bank.clock
@@ -214,8 +172,8 @@ def _leave_out(bank, state, force, yaw_witness, given):
             copy_filter(filters[best], filters[0], 0, now, given)
         return True
     if best < 0 and waited > LOST_S and bank.age[FIXES] < SILENT_S:
-        _begin_anew(bank, given)
-        state.failing_since, bank.force_filter = -1.0, 0.0
+        begin_anew(bank, given)
+        state.failing_since = -1.0
         return True
     return False
 
@@ -244,8 +202,7 @@ def _use_again(bank, state, force, given):
     dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
     if lasted <= dwell or full.ratio >= PASSES_WELL:
         return False
-    away = full.since - state.fixed
-    if state.afresh > 0.0 and away < FRESH_S and not _may_have_drifted(full, bank.filters[force]):
+    if state.afresh > 0.0 and not _may_have_drifted(full, bank.filters[force]):
         return False
     for aid in range(SENSED):
         if LEFT_OUT[force, aid] > 0.0 and full.seen[aid] < 0.5 * dwell:
@@ -265,8 +222,6 @@ def decide(bank, state, yaw_witness, given):
     """
     now, force, filters = bank.clock, int(bank.force_filter), bank.filters
     state.in_doubt = 0.0
-    if LEFT_OUT[force, FIXES] == 0.0 and bank.age[FIXES] < SILENT_S:
-        state.fixed = now
     if filters[force].ratio >= 1.0:
         return _leave_out(bank, state, force, yaw_witness, given)
     state.failing_since = -1.0
