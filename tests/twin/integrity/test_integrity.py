@@ -247,3 +247,45 @@ def test_boat_recovers_from_garbage(seed):
     assert log.truth is not None
     truth = log.truth[np.searchsorted(log.t, twin.t), :2]
     assert np.hypot(*(twin.estimate().state[:2] - truth)) < 5.0
+
+
+def after_gap(fault: str) -> tuple[float, set[str]]:
+    """Return the error 15 s after a gap of 40 s, in which the compass was lost, and what was
+    doubted in the last 10 s.
+    """
+    boat, end = Vessel.load("usv75"), START_S + 55.0
+    log = simulate(
+        "zigzag", vessel=boat, sea=SeaState(hs=0.4), duration=end + 5.0, seed=6, suite=suite(5)
+    )
+    rows = with_faults(log, parse_faults(f"compass60@60{fault}", end - 10.0))
+    twin, doubted = Twin(particulars_of(boat, suite(5)), "ukf"), set[str]()
+    gap = (log.t > START_S) & (log.t < START_S + 40.0)
+    for k in np.flatnonzero(~gap & (log.t < end)):
+        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
+        if rows.t[k] > end - 10.0:
+            health = twin.health
+            doubted |= {one for one in SENSORS if health[one].status in ("doubtful", "excluded")}
+    assert log.truth is not None
+    truth = log.truth[np.searchsorted(log.t, twin.t)]
+    return float(np.hypot(*(twin.estimate().state[:2] - truth[:2]))), doubted
+
+
+def test_bank_begins_again_after_a_gap_without_compass():
+    error, doubted = after_gap("")
+    assert error < 3.0
+    assert not doubted
+    error, doubted = after_gap("+gps-jump=50:20")
+    assert error < 10.0
+    assert "gps" in doubted
+
+
+def test_gps_that_jumps_far_stays_out_until_it_is_back():
+    _, _, excluded, error = sailed("usv75", 5, "gps-jump=200:30", START_S + 28.0)
+    assert excluded == {"gps"}
+    assert error < 10.0
+
+
+def test_gps_that_comes_back_is_used_again_soon():
+    twin, _, _, error = sailed("otter", 5, "none", START_S + 45.0, loss="gps30@75")
+    assert twin.health["gps"].status == "ok"
+    assert error < 3.0
