@@ -122,7 +122,7 @@ FAULTS = {
         MatrixFault("all20", 20.0, _ALL),
         MatrixFault("all-garbage10", 10.0, _ALL),
         # ten seconds, and as many until the backlog is handed out
-        MatrixFault("all-stall10+commands-stall10", 20.0),
+        MatrixFault("all-stall10+commands-stall10", 20.0, _ALL),
         MatrixFault("commands-sign20", 20.0, ("commands",)),
         MatrixFault("commands-zero20", 20.0, ("commands",)),
         MatrixFault("commands-swapped20", 20.0, ("commands",)),

@@ -729,16 +729,17 @@ def _pass_gap(dt, z, bank, given):
 
 
 @kernel
-def advance_bank(dt, z, bank, given):
+def advance_bank(dt, z, anew, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
-    z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces.
+    z (8,) holds the samples that may be used: fix, GPS velocity, heading, yaw rate, forces. With
+    ``anew`` the filters begin anew with them.
     """
     if bank.begun == 0.0:
         bank.clock += dt
         begin_bank(bank, z, given)
         return False
-    if dt > GAP_S:
+    if anew or dt > GAP_S:
         _pass_gap(dt, z, bank, given)
         return False
     _gather(dt, z, bank, given)

@@ -13,6 +13,7 @@ import math
 from twin.integrity.bank import (
     A1,
     A2,
+    GAP_S,
     LEFT_OUT,
     NO_ACCELEROMETERS,
     NO_COMPASS,
@@ -54,6 +55,7 @@ from twin.integrity.state import (
     NEVER_S,
     NO_REASON,
     OK,
+    OLD,
     SILENT,
     VELOCITY_OUT,
 )
@@ -98,6 +100,24 @@ def _may_be_at_fault(bank, sensor):
 
 
 @inlined
+def _await_backlog(dt, memory):
+    """Note that the samples of a row may be old, as all sensors had been silent together.
+
+    What stalled hands out what it missed. At twice its pace this takes as long as the silence.
+    """
+    bank, silence = memory.bank, math.inf
+    for aid in range(SENSED):
+        silence = min(silence, bank.age[aid] + dt)
+    for k in range(2):
+        silence = min(silence, bank.imu_age[k] + dt)
+    memory.backlog = max(memory.backlog - dt, 0.0)
+    if memory.backlog == 0.0:
+        memory.old = 0.0
+    if silence > SILENT_S:
+        memory.backlog = min(silence, GAP_S)
+
+
+@inlined
 def _set_statuses(dt, z, memory):
     """Say of each sensor whether it is used, and why not."""
     bank = memory.bank
@@ -110,6 +130,8 @@ def _set_statuses(dt, z, memory):
         left = LEFT_OUT[force, sensor + 1] > 0.0 or (sensor == GPS and LEFT_OUT[force, 0] > 0.0)
         if masked:
             _set(memory, sensor, EXCLUDED, IMPOSSIBLE)
+        elif memory.old > 0.0 and one.silent <= SILENT_S:
+            _set(memory, sensor, EXCLUDED, OLD)
         elif frozen:
             _set(memory, sensor, EXCLUDED, FROZEN)
         elif left and one.silent > SILENT_S:
@@ -153,7 +175,7 @@ def _watch(dt, cmd, memory, given):
     v += rate * given.bank.origin_arm[0]
     u -= rate * given.bank.origin_arm[1]
     turns = min(bank.imu_age[0] if one.uses_gyro > 0.0 else NEVER_S, bank.age[2]) < KNOWN_S
-    known, doubted = bank.begun > 0.0 and turns, memory.contradicted > 0.0
+    known, doubted = bank.begun > 0.0 and turns and memory.old == 0.0, memory.contradicted > 0.0
     force, has_gps = int(bank.force_filter), False
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
@@ -286,7 +308,11 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     memory.switched = 0.0
     has_gps = _watch(dt, cmd, memory, given)
     _aid_bank(memory, has_gps, given)
-    if advance_bank(dt, memory.z, bank, given.bank):
+    _await_backlog(dt, memory)
+    tested = advance_bank(dt, memory.z, memory.old > 0.0, bank, given.bank)
+    if tested and memory.backlog > 0.0 and bank.filters[int(bank.force_filter)].ratio >= 1.0:
+        memory.old, memory.decision.failing_since = 1.0, -1.0
+    elif tested:
         drives = memory.drives
         switched = decide(bank, memory.decision, drives.yaw_witness, given.bank)
         if switched:
@@ -295,7 +321,7 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
             drives.known = 0.0
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
-        if LEFT_OUT[force, part] > 0.0:
+        if LEFT_OUT[force, part] > 0.0 or memory.old > 0.0:
             for j in range(PARTS[part, 0], PARTS[part, 1]):
                 out[j] = math.nan
     memory.contradicted = 0.0

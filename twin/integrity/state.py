@@ -42,6 +42,7 @@ REASONS = (
     "contradicts the other sensors",
     "gives a velocity that contradicts the other sensors, and which is not used",
     "has gone silent",
+    "hands out old samples, as after a stall",
     "have the wrong sign",
     "have the wrong sign in steering",
     "have the wrong sign in thrust",
@@ -52,7 +53,7 @@ REASONS = (
 )
 """Why, in words that follow the sensor's name."""
 
-NO_REASON, IMPOSSIBLE, FROZEN, CONTRADICTS, VELOCITY_OUT, SILENT, HYPOTHESIS_REASON = range(7)
+NO_REASON, IMPOSSIBLE, FROZEN, CONTRADICTS, VELOCITY_OUT, SILENT, OLD, HYPOTHESIS_REASON = range(8)
 """Places of reasons; from the last on, those of the hypotheses of commands but the first."""
 
 STATUS = np.dtype(
@@ -101,6 +102,8 @@ INTEGRITY = np.dtype(
         ("frozen", "f8", PARTS),  # 1 where it repeats itself while the boat moves
         ("masked", "f8", PARTS),  # time for which it is left out after impossible numbers, s
         ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
+        ("backlog", "f8"),  # time for which samples may be old, as all had been missing, s
+        ("old", "f8"),  # 1 where they are
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad
         ("switched", "f8"),  # 1 in a row after which another filter is in force, 2: it had GPS
