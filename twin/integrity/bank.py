@@ -664,7 +664,7 @@ def _advance_filter(k, bank, given, sound):
         elif aid == VELOCITY:
             R = given.velocity_var / n + 0.5 * late * (north * north + east * east)
         else:
-            R = given.compass_var / n + late * rate * rate
+            R = given.compass_var / n + late * min(rate * rate, given.rate_var)
         variance = (R, R)
         if aid == PUSH:
             variance = (bank.push_var[0], bank.push_var[1])
