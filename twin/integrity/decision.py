@@ -230,6 +230,7 @@ def decide(bank, state, yaw_witness, given):
     for k in range(1, FILTERS):
         lasted = now - filters[k].since
         renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > RENEW_S + k
+        renew = renew and bank.age[FIXES] < SILENT_S
         if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > RESYNC_S)):
             copy_filter(filters[force], filters[k], k, now, given)
     return False
