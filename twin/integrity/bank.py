@@ -662,7 +662,9 @@ def _advance_filter(k, bank, given, sound):
         if aid == FIXES:
             R = given.fix_var / n + 0.5 * late * (one.x[VN] ** 2 + one.x[VE] ** 2)
         elif aid == VELOCITY:
-            R = given.velocity_var / n + 0.5 * late * min(north * north + east * east, 2.0 * max(given.thrust_var, bank.acceleration))
+            R = given.velocity_var / n + 0.5 * late * min(
+                north * north + east * east, 2.0 * max(given.thrust_var, bank.acceleration)
+            )
         else:
             R = given.compass_var / n + late * min(rate * rate, given.rate_var)
         variance = (R, R)

@@ -181,7 +181,7 @@ def _watch(dt, cmd, memory, given):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
     headings = bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]
     watch_commands(
-        dt, cmd, (rate, u, v, *headings), forces, known, doubted, has_gps, memory.clock,
+        dt, cmd, (rate, u, v, *headings, sound.P[A1, A1]), forces, known, doubted, has_gps, memory.clock,
         memory.drives, given.drives,
     )  # fmt: skip
     return has_gps

@@ -334,7 +334,9 @@ def _put_in_force(drives, h, now):
 
 
 @kernel
-def _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all):
+def _write_likelihoods(
+    drives, changes, bias_var, turned, sway, axes, has_gps, given, by_yaw, by_all
+):
     """Write the log-likelihood of a step by each hypothesis: of yaw alone, and of all."""
     row = alloca_f64(TERMS)
     for h in range(HYPOTHESES):
@@ -344,6 +346,8 @@ def _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_y
             change = _change(drives, axis, row)
             if axis < axes:
                 S = _spread(drives, axis, h, row, given)
+                if axis == SURGE and not has_gps:
+                    S += bias_var
                 total += _weight(drives, axis) * _log_likelihood(changes[axis] - change, S)
             if axis == YAW:
                 by_yaw[h] = total
@@ -351,13 +355,15 @@ def _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_y
                 if axes > SURGE:
                     # to starboard accelerometers measure the turn at the surge of the hypothesis
                     error = changes[2] - u * turned
-                    total += _log_likelihood(error, max(drives.force_var[1], RESIDUAL_SD_MIN**2))
+                    total += _log_likelihood(
+                        error, max(drives.force_var[1], RESIDUAL_SD_MIN**2) + bias_var
+                    )
                 drives.surges[h] = _limited(u + change)
         by_all[h] = total
 
 
 @kernel
-def _weigh(drives, changes, turned, sway, axes, has_gps, now, given):
+def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
@@ -365,7 +371,9 @@ def _weigh(drives, changes, turned, sway, axes, has_gps, now, given):
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
     by_yaw, by_all = alloca_f64(HYPOTHESES), alloca_f64(HYPOTHESES)
-    _write_likelihoods(drives, changes, turned, sway, axes, has_gps, given, by_yaw, by_all)
+    _write_likelihoods(
+        drives, changes, bias_var, turned, sway, axes, has_gps, given, by_yaw, by_all
+    )
     drives.steps += 1.0
     strongest = force
     if trained:
@@ -492,7 +500,8 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
         drives.yaw_witness = 0.0
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
-        suspected = _weigh(drives, changes, turned, sway, axes, has_gps, now, given)
+        bias_var = motion[5] * (span / U) ** 2
+        suspected = _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given)
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
         _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
