@@ -101,8 +101,8 @@ def copy_filter(source, target, k, clock, given):
 
 @kernel
 def _is_candidate(bank, k, force, device):
-    """Return whether leaving out what filter k does may explain the failure."""
-    return k != force and bank.filters[k].ratio < 1.0 and (k == NO_GPS) == device
+    """Return whether filter k, which leaves something else out, has passed all along."""
+    return k != force and bank.filters[k].misfit[FIXES] < math.inf and (k == NO_GPS) == device
 
 
 @kernel
@@ -161,6 +161,10 @@ def _leave_out(bank, state, force, yaw_witness, given):
         state.failing_since = now
         for k in range(FILTERS):
             filters[k].misfit[:] = 0.0
+    for k in range(FILTERS):
+        if filters[k].ratio >= 1.0:
+            # what has never seen the fault passes all along
+            filters[k].misfit[FIXES] = math.inf
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
