@@ -180,10 +180,10 @@ def _watch(dt, cmd, memory, given):
     for aid in range(2):
         has_gps = has_gps or (bank.age[aid] < SILENT_S and LEFT_OUT[force, aid] == 0.0)
     headings = bank.filters[NO_COMPASS].x[PSI], bank.filters[NO_GYRO].x[PSI]
+    motion = (rate, u, v, *headings, sound.P[A1, A1])
     watch_commands(
-        dt, cmd, (rate, u, v, *headings, sound.P[A1, A1]), forces, known, doubted, has_gps, memory.clock,
-        memory.drives, given.drives,
-    )  # fmt: skip
+        dt, cmd, motion, forces, known, doubted, has_gps, memory.clock, memory.drives, given.drives
+    )
     return has_gps
 
 

@@ -367,7 +367,8 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
-    ``turned`` is that of the heading, rad.
+    ``bias_var`` is the variance of what their bias adds to that; ``turned`` is the change of the
+    heading, rad.
     """
     force, trained = int(drives.hypothesis), drives.steps > WARM_UP_STEPS
     by_yaw, by_all = alloca_f64(HYPOTHESES), alloca_f64(HYPOTHESES)
@@ -534,9 +535,9 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
         Time since the row before, s.
     cmd : ndarray, shape (4,)
         Command in force since then.
-    motion : tuple of 5 floats
-        Yaw rate, surge and sway over the ground, rad/s and m/s, heading without compass, and
-        heading without gyro, rad.
+    motion : tuple of 6 floats
+        Yaw rate, surge and sway over the ground, rad/s and m/s, heading without compass and heading
+        without gyro, rad, and the variance of the bias of the accelerometers, (m/s2)2.
     force : tuple of 2 floats
         Specific forces forward and to starboard less their biases, m/s2; NaN where there are none.
     known, doubted, has_gps : bool
