@@ -252,7 +252,7 @@ def _begin_again(nav, settings):
         first, last = PSI, PSI + 1
     elif not whole:
         first, last = U, V + 1
-    astray = surge and not whole
+    astray = (surge and not whole) or restart.lost > 0.0
     for i in range(first, min(last, R)):  # the yaw rate follows the gyro at once
         astray = astray or _is_contaminated(nav, i)
     if astray:

@@ -65,6 +65,7 @@ VARIANCE_MIN = 1e-12
 
 RESTART = np.dtype(
     [
+        ("lost", "f8"),  # 1 where the navigation does not know where it is, whatever it claims
         ("position", "f8"),  # 1 where all of the state begins again, ...
         ("heading", "f8"),  # ... heading and yaw rate do, ...
         ("surge", "f8"),  # ... or surge and sway do

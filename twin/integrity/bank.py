@@ -719,8 +719,9 @@ def _pass_gap(dt, z, bank, given):
     """Begin anew after a gap between rows, with the samples that come after it."""
     bank.clock += dt
     for aid in range(SENSED):
-        bank.age[aid] += dt
-        _keep_last(bank, aid, z)
+        bank.age[aid] = 0.0 if _keep_last(bank, aid, z) else bank.age[aid] + dt
+    for k in range(2):
+        bank.imu_age[k] = bank.imu_age[k] + dt if math.isnan(z[5 + k]) else 0.0
     if not math.isnan(z[4]):
         for k in range(FILTERS):
             bank.filters[k].x[PSI] = z[4]

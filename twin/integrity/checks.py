@@ -21,6 +21,7 @@ from twin.integrity.bank import (
     NO_VELOCITY,
     PSI,
     PUSH,
+    ROWS_MISSING,
     SENSED,
     SILENT_S,
     VE,
@@ -40,7 +41,7 @@ from twin.integrity.commands import (
     most_evidence,
     watch_commands,
 )
-from twin.integrity.decision import decide
+from twin.integrity.decision import RETURN_S, decide
 from twin.integrity.screening import PARTS, find_frozen, screen
 from twin.integrity.state import (
     ABSENT,
@@ -103,18 +104,25 @@ def _may_be_at_fault(bank, sensor):
 def _await_backlog(dt, memory):
     """Note that the samples of a row may be old, as all sensors had been silent together.
 
-    What stalled hands out what it missed. At twice its pace this takes as long as the silence.
+    What stalled hands out what it missed. At twice its pace this takes as long as the silence. So
+    samples are held back until the filters have passed with them for a while.
     """
     bank, silence = memory.bank, math.inf
     for aid in range(SENSED):
         silence = min(silence, bank.age[aid] + dt)
     for k in range(2):
         silence = min(silence, bank.imu_age[k] + dt)
-    memory.backlog = max(memory.backlog - dt, 0.0)
+    memory.backlog, memory.heard = max(memory.backlog - dt, 0.0), memory.heard + dt
     if memory.backlog == 0.0:
         memory.old = 0.0
-    if silence > SILENT_S:
-        memory.backlog = min(silence, GAP_S)
+    if silence > max(SILENT_S, ROWS_MISSING * bank.row):
+        memory.backlog, memory.heard = min(silence, GAP_S), 0.0
+
+
+@inlined
+def _holds_back(memory):
+    """Return whether samples that may be old are not used."""
+    return memory.old > 0.0 or (memory.backlog > 0.0 and memory.heard < RETURN_S)
 
 
 @inlined
@@ -132,6 +140,8 @@ def _set_statuses(dt, z, memory):
             _set(memory, sensor, EXCLUDED, IMPOSSIBLE)
         elif memory.old > 0.0 and one.silent <= SILENT_S:
             _set(memory, sensor, EXCLUDED, OLD)
+        elif _holds_back(memory):
+            _set(memory, sensor, ABSENT, SILENT)
         elif frozen:
             _set(memory, sensor, EXCLUDED, FROZEN)
         elif left and one.silent > SILENT_S:
@@ -252,7 +262,7 @@ def write_restart(memory, given, restart):
     reckons = has_gps and one.uses_accelerometers > 0.0
     restart.position = 1.0 if used or reckons else 0.0
     restart.heading = 1.0 if has_gps or LEFT_OUT[k, 2] + LEFT_OUT[k, 3] > 0.0 else 0.0
-    restart.surge = 0.0
+    restart.surge, restart.lost = 0.0, memory.old
     drives = memory.drives
     if not has_gps and k == NO_ACCELEROMETERS and drives.steps > WARM_UP_STEPS:
         restart.surge = 1.0
@@ -319,9 +329,12 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
             memory.switched = SWITCHED_WITH_GPS if has_gps else SWITCHED
             # the motion begins again: a step of the commands that spans it would be wrong
             drives.known = 0.0
+    if memory.old > 0.0 and has_gps:
+        # as far as is known, the boat is near where it was
+        memory.switched = SWITCHED_WITH_GPS
     force = int(bank.force_filter)
     for part in range(PARTS.shape[0]):
-        if LEFT_OUT[force, part] > 0.0 or memory.old > 0.0:
+        if LEFT_OUT[force, part] > 0.0 or _holds_back(memory):
             for j in range(PARTS[part, 0], PARTS[part, 1]):
                 out[j] = math.nan
     memory.contradicted = 0.0

@@ -104,6 +104,7 @@ INTEGRITY = np.dtype(
         ("contradicted", "f8"),  # 1 while GPS or compass contradict the filter in force
         ("backlog", "f8"),  # time for which samples may be old, as all had been missing, s
         ("old", "f8"),  # 1 where they are
+        ("heard", "f8"),  # how long there have been samples again, s
         ("garbage", "f8"),  # 1 in a row with impossible numbers of two sensors
         ("turned", "f8"),  # what the heading changed since the compass gave something new, rad
         ("switched", "f8"),  # 1 in a row after which another filter is in force, 2: it had GPS

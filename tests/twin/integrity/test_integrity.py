@@ -289,3 +289,16 @@ def test_gps_that_comes_back_is_used_again_soon():
     twin, _, _, error = sailed("otter", 5, "none", START_S + 45.0, loss="gps30@75")
     assert twin.health["gps"].status == "ok"
     assert error < 3.0
+
+
+@pytest.mark.parametrize("rate", [20, 5, 1])
+def test_backlog_of_a_stall_is_missing_time(rate):
+    stall = "all-stall10+commands-stall10"
+    twin, _, _, error = sailed("usv75", rate, stall, START_S + 18.0)
+    assert all("old samples" in twin.health[name].why for name in ("gps", "compass", "gyro"))
+    # old samples are no estimate of where it is now
+    sd = np.hypot(*twin.estimate().sd[:2])
+    assert error < 3.0 * sd
+    twin, _, _, error = sailed("usv75", rate, stall, START_S + 30.0)
+    assert all(twin.health[name].status == "ok" for name in SENSORS)
+    assert error < 3.0
