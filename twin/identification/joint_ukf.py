@@ -125,6 +125,7 @@ class Forecast(NamedTuple):
     states: Any  # (1, K, 6) states at the ends of the rows
     act: Any  # (K, 4) actuators then
     covs: Any  # (K, 6, 6) covariances then
+    held: Any  # (K, 4) a command, held, in rev/s and rad
 
 
 @inlined
@@ -202,7 +203,8 @@ def forecast_buffers(work, K, p):
     states, at = take(work, at, (1, K, N_STATES))
     act, at = take(work, at, (K, N_ACT))
     covs, at = take(work, at, (K, N_STATES, N_STATES))
-    return Forecast(plan, params, states, act, covs)
+    held, at = take(work, at, (K, N_ACT))
+    return Forecast(plan, params, states, act, covs, held)
 
 
 @inlined

@@ -69,7 +69,6 @@ from twin.sim.twin_observation import (
     WAVE_STEPS,
     Boats,
     PlusForecast,
-    UKFForecast,
     describe_flat,
     describe_motion_flat,
     keep_forecast_flat,
@@ -432,8 +431,7 @@ class CompiledTwins(TwinObserver):
         shown = float(options.observation == "twin_attitude")
         given = options.band_period, gps_var, 1.0, shown, float(self._grading), 1.0
         self._settings = np.concatenate([given, integrity_settings(twin.particulars)])
-        self._given = plain(predictor.config)
-        self._scratch = plain((predictor.work, self._buffers()))
+        self._given, self._scratch = self._config(), plain((self._work(), self._buffers()))
         self._motion_work = twin.motion.scratch if self.motions.shape[1] > 0 else np.zeros(0)
         # threads need their own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
@@ -453,12 +451,18 @@ class CompiledTwins(TwinObserver):
     def _model_size(self, twin: Twin) -> tuple[int, int]:
         return len(_compiled(twin).ukf.xi), 0
 
+    def _config(self) -> Any:
+        """Return what the kernels are given of the predictor."""
+        nav, given, model = self._predictor.config
+        return np.concatenate([nav, given]), *plain(model)
+
+    def _work(self) -> Any:
+        """Return the scratch of the predictor."""
+        return np.concatenate(self._predictor.work)
+
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""
-        return UKFForecast(
-            np.zeros((ROWS, N_ACT)),
-            np.zeros(flat_size(forecast_buffers, ROWS, len(self._predictor.ukf.xi))),
-        )
+        return np.zeros(flat_size(forecast_buffers, ROWS, len(self._predictor.ukf.xi)))
 
     def _state(self, i: int) -> Array:
         return self.memory.filter[i, :N_STATES].copy()
@@ -566,6 +570,12 @@ class CompiledPlusTwins(CompiledTwins):
 
     def _model_size(self, twin: Twin) -> tuple[int, int]:
         return len(_compiled(twin).ukf.xi), ROWS
+
+    def _config(self) -> Any:
+        return plain(self._predictor.config)
+
+    def _work(self) -> Any:
+        return plain(self._predictor.work)
 
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
-from twin.filters.navigation_state import NAVIGATION
+from twin.filters.navigation_state import NAVIGATION, NAVIGATION_SETTINGS, NAVIGATION_WORK
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -89,7 +89,6 @@ __all__ = [
     "WAVE_STEPS",
     "Boats",
     "PlusForecast",
-    "UKFForecast",
     "describe_flat",
     "describe_motion_flat",
     "keep_forecast_flat",
@@ -202,13 +201,6 @@ class Boats(NamedTuple):
     motions: Any  # (n, size of MOTION)
     motion_settings: Any  # see MOTION_SETTINGS
     motion_work: Any  # see MOTION_WORK
-
-
-class UKFForecast(NamedTuple):
-    """Buffers of a forecast of the plain filter."""
-
-    plan: Any  # (20, 4) the command, held
-    buffers: Any  # see Forecast
 
 
 class PlusForecast(NamedTuple):
@@ -460,25 +452,34 @@ def keep_forecast_flat(row, shared, notes, start, doubted, period):
     keep_forecast(start, boat, note, happens, period, notes, GRADES_AT, (0, 0))
 
 
+_NAV_WORK, _NAV_SETTINGS = record_size(NAVIGATION_WORK), record_size(NAVIGATION_SETTINGS)
+
+
+@inlined
+def _split(memory, size):
+    """Return the first numbers of an array, and the others."""
+    return shaped(memory, 0, (size,)), shaped(memory, size, (memory.shape[0] - size,))
+
+
 @kernel
 def observe_ukf(boats, memories, config, work, forecast, obs):
     """Let the twins of boats with a new row take it, and write their parts of the observations.
 
-    The arguments are plain tuples, which numba takes from Python much faster than named ones.
+    The arguments are plain tuples, which numba takes from Python much faster than named ones, and
+    few arrays, as it checks each in every call.
     """
     rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
     boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
-    memories, work = UKFMemory(memories[0], memories[1]), UKFWork(work[0], work[1])
-    which, limits, hull = config[2]
-    config = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
-    forecast = UKFForecast(forecast[0], forecast[1])
+    memories, work = UKFMemory(memories[0], memories[1]), UKFWork(*_split(work, _NAV_WORK))
+    given, which, limits, hull = config
+    config = UKFConfig(*_split(given, _NAV_SETTINGS), ModelTerms(which, limits, hull))
     settings, model = as_record(boats.settings, SETTINGS), config.model
     shared = as_record(boats.shared, EPISODES)
     rules, first = shared.rules, int(shared.entries)
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
-    out = forecast_buffers(forecast.buffers, ROWS, model.which.shape[1])
-    again = Buffers(forecast.plan, out.plan, out.params, out.states, out.act, scratch.rollout)
+    out = forecast_buffers(forecast, ROWS, model.which.shape[1])
+    again = Buffers(out.held, out.plan, out.params, out.states, out.act, scratch.rollout)
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
@@ -495,8 +496,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
             continue
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         if settings.forecasting > 0.0:
-            _hold(note.trusted[:], forecast.plan)
-            steps = forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
+            _hold(note.trusted[:], out.held)
+            steps = forecast_mean(out.held, LONG_STEP, state, given, out, scratch.rollout)
             due = note.last >= note.covs_due
             if due:
                 note.covs_due = note.last + settings.period - 1e-9
