@@ -670,7 +670,7 @@ def _advance_filter(k, bank, given, sound):
         variance = (R, R)
         if aid == PUSH:
             variance = (bank.push_var[0], bank.push_var[1])
-        span = max(bank.interval[aid], T)
+        span = max(bank.interval[aid], EPOCH_S) if bank.interval[aid] > 0.0 else T
         age = bank.age_sum[aid] if aid < SENSED else 0.0
         _take(one, aid, bank, age, variance, span, rate, north, east, given)
         if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
@@ -732,6 +732,20 @@ def _pass_gap(dt, z, bank, given):
 
 
 @kernel
+def _end_epoch(bank, given):
+    """Let the filters take the samples of an epoch; no epoch spans a gap between rows."""
+    _end_sums(bank)
+    biased = bank.filters[0].uses_accelerometers > 0.0
+    for i in range(2):
+        bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
+    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
+    for k in range(FILTERS):
+        _advance_filter(k, bank, given, sound)
+    _learn_motion(bank)
+    _begin_epoch(bank)
+
+
+@kernel
 def advance_bank(dt, z, anew, bank, given):
     """Take a row; return whether an epoch ended, so that the tests are new.
 
@@ -745,16 +759,11 @@ def advance_bank(dt, z, anew, bank, given):
     if anew or dt > GAP_S:
         _pass_gap(dt, z, bank, given)
         return False
+    gap = dt > EPOCH_S and bank.span > 0.0
+    if gap:
+        _end_epoch(bank, given)
     _gather(dt, z, bank, given)
-    if bank.span < EPOCH_S - 1e-6:
-        return False
-    _end_sums(bank)
-    biased = bank.filters[0].uses_accelerometers > 0.0
-    for i in range(2):
-        bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
-    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
-    for k in range(FILTERS):
-        _advance_filter(k, bank, given, sound)
-    _learn_motion(bank)
-    _begin_epoch(bank)
-    return True
+    if bank.span >= EPOCH_S - 1e-6:
+        _end_epoch(bank, given)
+        return True
+    return gap

@@ -41,7 +41,7 @@ from twin.integrity.commands import (
     most_evidence,
     watch_commands,
 )
-from twin.integrity.decision import RETURN_S, decide
+from twin.integrity.decision import DECIDE_S, RETURN_S, decide
 from twin.integrity.screening import PARTS, find_frozen, screen
 from twin.integrity.state import (
     ABSENT,
@@ -320,7 +320,8 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
     _aid_bank(memory, has_gps, given)
     _await_backlog(dt, memory)
     tested = advance_bank(dt, memory.z, memory.old > 0.0, bank, given.bank)
-    if tested and memory.backlog > 0.0 and bank.filters[int(bank.force_filter)].ratio >= 1.0:
+    failing = tested and bank.filters[int(bank.force_filter)].ratio >= 1.0
+    if failing and memory.backlog > 0.0 and memory.heard < DECIDE_S:
         memory.old, memory.decision.failing_since = 1.0, -1.0
     elif tested:
         drives = memory.drives
