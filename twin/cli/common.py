@@ -9,7 +9,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -72,6 +72,14 @@ def report_user_errors(command: Command) -> Command:
 
 LogArgument = Annotated[
     Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.")
+]
+
+LogsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...",
+        help="Logs: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.",
+    ),
 ]
 
 OPTIONS_EXAMPLE = "dsw-ukf:window=off,w_min=20"
@@ -244,6 +252,13 @@ def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> No
 def write_text(path: Path, text: str) -> None:
     """Make a file's folder, and write the file whole or not at all."""
     write_whole(path, text.encode())
+
+
+def one_run(logs: Sequence[Path], options: Mapping[str, object]) -> None:
+    """Refuse options that are for one log, where there are several."""
+    given = [name for name, value in options.items() if value is not None]
+    if len(logs) > 1 and given:
+        raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one log")
 
 
 def parse_list(text: str, option: str) -> tuple[str, ...]:

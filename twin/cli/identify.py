@@ -10,6 +10,7 @@ import typer
 
 from twin.channels import STATE
 from twin.cli.common import (
+    LogsArgument,
     MappingOption,
     ModelOption,
     OptionError,
@@ -17,6 +18,7 @@ from twin.cli.common import (
     console,
     explain,
     note,
+    one_run,
     row_progress,
     write_json,
     write_text,
@@ -34,14 +36,7 @@ from twin.sim.recorded import twin_for_log
 
 
 def identify_command(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG...",
-            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog. "
-            "Several runs of one boat together.",
-        ),
-    ],
+    logs: LogsArgument,
     predictor: Annotated[
         str | None,
         typer.Option(
@@ -98,11 +93,8 @@ def identify_command(
         raise OptionError(
             f"--save-prior {save_prior}: is there already; choose another name, or --force"
         )
-    one = {"--save": save, "--out": out, "--json": json_file}
-    given = [name for name, value in one.items() if value is not None]
     logs = list(dict.fromkeys(logs))
-    if len(logs) > 1 and given:
-        raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
+    one_run(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1
     twins = []
     for path in logs:

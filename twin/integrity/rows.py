@@ -423,7 +423,7 @@ def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recordi
         rows = np.flatnonzero(size > limit)
         if not len(rows):
             continue
-        z[np.ix_(rows, columns)] = np.nan
+        z[rows[:, None], columns] = np.nan
         unit = SENSORS[sensor][0].rpartition("_")[2].replace("ps", "/s")
         most = rows[np.argmax(size[rows])]
         what = (
