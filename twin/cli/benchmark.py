@@ -158,6 +158,9 @@ def benchmark_command(
     pdf: Annotated[
         bool, typer.Option("--pdf", help="Write each picture as PDF, too, beside the SVG.")
     ] = False,
+    no_pictures: Annotated[
+        bool, typer.Option("--no-pictures", help="Draw none: the report has tables only.")
+    ] = False,
     fresh: Annotated[
         bool,
         typer.Option(
@@ -255,7 +258,7 @@ def benchmark_command(
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
     if len(done) + len(failed) < len(work):
-        kept = sum(runner.result_file(out, unit).exists() for unit in work)
+        kept = sum(runner.result_file(settings, unit, out).exists() for unit in work)
         raise stopped(
             f"{kept} of {len(work)} results are kept in {out}; the same command goes on from there"
         )
@@ -263,8 +266,8 @@ def benchmark_command(
         raise BenchmarkError("nothing could be scored; the lines above say why")
     from twin.benchmark.report import write_report
 
-    figures = runner.run_figures(settings, done)
-    with status("drawing"):
+    figures = None if no_pictures else runner.run_figures(settings, done)
+    with status("writing the report"):
         written = write_report(out, results, figures, pdf=pdf)
     console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
 
