@@ -67,9 +67,9 @@ def view_command(
         str | None,
         typer.Option(
             metavar="AGENT",
-            help="Let it sail its task, as usv-twin evaluate does: a policy (.npz), a run's "
-            "folder, a controller, or module:Class. Degrees of freedom and time of an episode are "
-            "those of its training.",
+            help="Let it sail its task, as usv-twin evaluate does: a policy (.npz), a model of "
+            "Stable-Baselines3 (.zip), a run's folder, a controller, or module:Class. Degrees of "
+            "freedom and time of an episode are those of its training.",
         ),
     ] = None,
     reply: Annotated[
