@@ -61,6 +61,12 @@ from usv_kernel.files import write_whole
 
 
 def benchmark_command(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="LOG...", help="Recorded runs to score. [simulated runs, and one of a boat]"
+        ),
+    ] = None,
     full: Annotated[
         bool,
         typer.Option(
@@ -133,10 +139,6 @@ def benchmark_command(
         float | None,
         typer.Option(help="Exponent s of short-crested waves. [long-crested]", min=0.0),
     ] = None,
-    log: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recorded runs to score instead of simulated ones (several files)."),
-    ] = None,
     ship: Annotated[
         str | None,
         typer.Option(
@@ -180,7 +182,7 @@ def benchmark_command(
 
     Without arguments: a 20 degree turn and a 20/-20 zigzag of 7.5 m boats in sea state 2. There
     are six seeds each, future commands known and held, and one recorded run of a real boat. With
-    --full: the full protocol. With --log: recorded runs, scored against later measurements.
+    --full: the full protocol. With logs: recorded runs, scored against later measurements.
     Archives that twin.logs.datasets knows are read as downloaded. A file that cannot be read is
     reported, and the others are scored.
 
@@ -197,7 +199,7 @@ def benchmark_command(
     names, notes = available(parse_predictors(predictors))
     if not names:
         raise PredictorError("; ".join(notes))
-    recorded, missing = _find_logs(log or [])
+    recorded, missing = _find_logs(logs or [])
     options: dict[str, Any] = {"logs": recorded}
     if full:
         options |= {**FULL, "cases": _parse_cases(cases)} if not recorded else FULL

@@ -142,6 +142,11 @@ class Log:
         """Return the number of rows."""
         return len(self.t)
 
+    def __repr__(self) -> str:
+        """Return name, rows and length."""
+        span = float(self.t[-1] - self.t[0]) if len(self) else 0.0
+        return f"Log({self.name}, {len(self)} rows, {span:.1f} s)"
+
     def __iter__(self) -> Iterator[tuple[float, Array, Array]]:
         """Yield ``(t, z, cmd)`` of each row, as a twin would meet them on board."""
         return zip(self.t.tolist(), self.z, self.cmd, strict=True)
