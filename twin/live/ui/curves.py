@@ -57,12 +57,15 @@ STYLE = "<style>.uplot { width: 100% !important; }</style>"
 
 
 def by_equation(blocks: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
-    """Return blocks of parameters that follow each other, those of two equations by themselves."""
+    """Return blocks of parameters that follow each other, those of two equations by themselves.
+
+    The span of a block may hold all of the one before it: then that one keeps its own.
+    """
     spans, found, end = list(blocks.items()), dict[str, tuple[int, int]](), 0
     for k, (name, (first, last)) in enumerate(spans):
         first = max(first, end)
         after, begins = (spans[k + 1][0], spans[k + 1][1][0]) if k + 1 < len(spans) else ("", last)
-        common = min(max(begins, first), last)
+        common = begins if first < begins < last else last
         found |= {name: (first, common), f"{name} and {after}": (common, last)}
         end = last
     return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
