@@ -18,6 +18,7 @@ from twin.cli.common import (
     console,
     note,
     one_run,
+    print_notes,
     row_progress,
     write_json,
     write_text,
@@ -74,7 +75,7 @@ def check_command(
     if write is not None and write.exists() and not force:
         raise OptionError(f"--write {write}: is there already; choose another name, or --force")
     one_run(logs, {"--out": picture, "--write": write, "--json": json_file})
-    failed = False
+    failed, said = False, set[str]()
     for log in logs:
         known = ship is not None or has_particulars(log)
         if write is not None and _is_renewed(write, Path(ship or sibling_path(log, ".toml"))):
@@ -82,6 +83,7 @@ def check_command(
             write = None
         boat = particulars_for_log(log, ship, mapping) if known else None
         found = check_log(log, mapping, boat)
+        print_notes(found.notes, said)
         print_check(found)
         verdict: Verdict | None = None
         if write is not None:

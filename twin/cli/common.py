@@ -9,7 +9,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -186,6 +186,14 @@ CPUS = os.cpu_count() or 1
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def print_notes(notes: Iterable[str], said: set[str]) -> None:
+    """Print notes that were not said of another log before."""
+    for text in notes:
+        if text not in said:
+            note(text)
+    said.update(notes)
 
 
 def note_capsizing(vessel: Vessel, sea: SeaState, dof: int) -> None:

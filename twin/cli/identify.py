@@ -17,8 +17,8 @@ from twin.cli.common import (
     ShipOption,
     console,
     explain,
-    note,
     one_run,
+    print_notes,
     row_progress,
     write_json,
     write_text,
@@ -96,7 +96,7 @@ def identify_command(
     logs = list(dict.fromkeys(logs))
     one_run(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1
-    twins = []
+    twins, said = [], set[str]()
     for path in logs:
         log, twin = twin_for_log(
             path,
@@ -107,8 +107,7 @@ def identify_command(
             until=until,
             own_prior=not together,
         )
-        for line in log.notes:
-            note(line)
+        print_notes(log.notes, said)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
         if out is not None:
             check_export(out, twin.datum)

@@ -95,8 +95,6 @@ def print_health(lines: Sequence[str]) -> None:
 
 def print_check(check: LogCheck) -> None:
     """Print what was measured in a log, and the findings."""
-    for line in check.notes:
-        note(line)
     recording = check.recording
     if len(recording.t) > 1:
         span = recording.t[-1] - recording.t[0]

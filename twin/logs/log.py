@@ -406,11 +406,11 @@ def _chosen(
     if not any(name in made for name in SINGLE["delta_rad"]):
         remedy += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
     lacking = _lacking(source, made, f"{remedy} {there}")
-    if layout.entries:
-        unused = f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"
-        return entries, [unused] if left else [], layout, lacking
-    notes = [f"{given or '(no name)'}: unknown column, left out" for given in left]
-    return entries, notes, layout, lacking
+    what = (
+        f"{len(left)} column(s) not in {layout.source}" if layout.entries else "unknown, left out"
+    )
+    unused = f"{what}: {', '.join(given or '(no name)' for given in left)}"
+    return entries, [unused] if left else [], layout, lacking
 
 
 def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:

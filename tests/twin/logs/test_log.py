@@ -197,7 +197,7 @@ def test_degrees_and_rpm_are_converted(tmp_path: Path) -> None:
     assert log.truth is not None
     np.testing.assert_allclose(log.truth[:, 2], wave, rtol=1e-14)
     assert np.isnan(log.truth[:, [0, 1, 3, 4, 5]]).all()
-    assert "delta_left_deg: converted to delta_left_rad" in log.notes
+    assert "delta_left_deg: converted to delta_left_rad" in log.notes[0]
     assert any("true_x_m" in note and "unknown" in note for note in log.notes)
 
 
@@ -208,8 +208,7 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
     log = Log.read(save(tmp_path / "a.csv", table))
     assert np.isnan(log.z[:, 8]).all()
     assert log.notes == (
-        "battery_V: unknown column, left out",
-        "wind: unknown column, left out",
+        "unknown, left out: battery_V, wind",
         "wind_mps: not in the file, taken as never measured",
     )
 
@@ -232,7 +231,7 @@ def test_one_propeller_and_one_rudder_are_put_on_both_sides(tmp_path: Path) -> N
     np.testing.assert_allclose(log.cmd[:, 0], 1.0 + np.arange(ROWS) / 60.0, rtol=1e-15)
     np.testing.assert_array_equal(log.cmd[:, 0], log.cmd[:, 1])
     np.testing.assert_array_equal(log.cmd[:, 2:], 0.5)
-    assert "delta_rad: one for both sides, delta_left_rad and delta_right_rad" in log.notes
+    assert "delta_rad: one for both sides, delta_left_rad and delta_right_rad" in log.notes[0]
     table["n_left_rps"] = table["n_rpm"]
     message = refused(save(tmp_path / "a.csv", table))
     assert "columns n_rpm and n_left_rps both give n_left_rps; remove one" in message
