@@ -406,10 +406,8 @@ def _chosen(
     if not any(name in made for name in SINGLE["delta_rad"]):
         remedy += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
     lacking = _lacking(source, made, f"{remedy} {there}")
-    what = (
-        f"{len(left)} column(s) not in {layout.source}" if layout.entries else "unknown, left out"
-    )
-    unused = f"{what}: {', '.join(given or '(no name)' for given in left)}"
+    what = f"not in {layout.source}" if layout.entries else "unknown, left out"
+    unused = f"{len(left)} column(s) {what}: {', '.join(given or '(no name)' for given in left)}"
     return entries, [unused] if left else [], layout, lacking
 
 

@@ -208,7 +208,7 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
     log = Log.read(save(tmp_path / "a.csv", table))
     assert np.isnan(log.z[:, 8]).all()
     assert log.notes == (
-        "unknown, left out: battery_V, wind",
+        "2 column(s) unknown, left out: battery_V, wind",
         "wind_mps: not in the file, taken as never measured",
     )
 
