@@ -24,8 +24,8 @@ QUIET = "USV_TWIN_QUIET"
 """Environment variable; any value silences the message."""
 
 MESSAGE = (
-    "usv-twin: compiling the kernels of this kind of use, for a minute or two of one core; they are "
-    "kept on disk, so that the next start is quick (until an update)"
+    "usv-twin: compiling the kernels of this kind of use, for a minute or two of one core "
+    "(once after an install or update: the next start is quick)"
 )
 
 INTERRUPTED = "usv-twin: stops as soon as this kernel is compiled"
