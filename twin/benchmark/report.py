@@ -83,8 +83,7 @@ def write_report(
     picture as PDF, too. Without ``runs`` there are no pictures at all.
     """
     folder = Path(out) / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.iterdir():
+    for stale in folder.glob("*") if runs is not None else ():
         if stale.suffix in (".png", ".svg", ".pdf"):
             stale.unlink()
     rows = [*results.get("rows", ()), *results.get("summary", ())]

@@ -193,10 +193,7 @@ def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
     options: dict[str, Any] = {}
     if run.simulator:
         options |= simulator_options(unit.predictor, *run.simulator)
-    kind = predictor_class(unit.predictor)
-    if settings.model is not None and kind.models:
-        options["model"] = settings.model
-    if kind.trains:
+    if predictor_class(unit.predictor).trains:
         # in time for the first prediction, whose history begins with the first late fix
         options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
     # what stands in the name is closer to the predictor than what holds for all

@@ -11,7 +11,6 @@ from twin.benchmark.trust import BAD, OK, Verdict, judge
 from twin.cli.common import (
     LogsArgument,
     MappingOption,
-    ModelOption,
     OptionError,
     PredictorOption,
     ShipOption,
@@ -40,7 +39,6 @@ def check_command(
     ship: ShipOption = None,
     mapping: MappingOption = None,
     predictor: PredictorOption = DEFAULT,
-    model: ModelOption = None,
     no_twin: Annotated[
         bool, typer.Option("--no-twin", help="Only check the log: no twin runs over it.")
     ] = False,
@@ -99,9 +97,7 @@ def check_command(
             note("no twin can run over this log until its errors are mended")
         elif not no_twin:
             with row_progress("the twin runs", len(found.log)) as advance:
-                verdict = judge(
-                    found.log, boat, predictor, model=model, findings=found.findings, on_row=advance
-                )
+                verdict = judge(found.log, boat, predictor, findings=found.findings, on_row=advance)
             print_verdict(verdict)
         if json_file is not None:
             trust = None if verdict is None else verdict.to_json()

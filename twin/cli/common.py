@@ -19,7 +19,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 
-from twin.model.structure import MODELS
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
@@ -94,14 +93,6 @@ PredictorOption = Annotated[
     ),
 ]
 
-ModelOption = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        help=f"Model structure, one of: {', '.join(MODELS)}. Default: that of the predictor.",
-    ),
-]
-
 ShipOption = Annotated[
     str | None,
     typer.Option(
@@ -160,9 +151,8 @@ CurrentToOption = Annotated[
 
 SensorsOption = Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")]
 
-FaultStartOption = Annotated[
-    float, typer.Option(help="Start of a fault that is given by its length, s.")
-]
+FAULT_START_S = 85.0
+"""Start of a fault that says none, as gps10 and not gps10@30."""
 
 ShaftMaxOption = Annotated[
     float | None,

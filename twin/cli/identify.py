@@ -12,8 +12,8 @@ from twin.channels import STATE
 from twin.cli.common import (
     LogsArgument,
     MappingOption,
-    ModelOption,
     OptionError,
+    PredictorOption,
     ShipOption,
     console,
     explain,
@@ -30,22 +30,14 @@ from twin.logs.tables import check_export
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
-from twin.predictors.registry import DEFAULT, PREDICTORS
+from twin.predictors.registry import DEFAULT
 from twin.predictors.ukf import ModelPredictor
 from twin.sim.recorded import twin_for_log
 
 
 def identify_command(
     logs: LogsArgument,
-    predictor: Annotated[
-        str | None,
-        typer.Option(
-            "--predictor",
-            "-p",
-            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}.",
-        ),
-    ] = None,
-    model: ModelOption = None,
+    predictor: PredictorOption = DEFAULT,
     ship: ShipOption = None,
     mapping: MappingOption = None,
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
@@ -103,7 +95,6 @@ def identify_command(
             predictor,
             ship=ship,
             mapping=mapping,
-            model=model,
             until=until,
             own_prior=not together,
         )

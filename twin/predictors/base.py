@@ -239,8 +239,6 @@ class Predictor(ABC):
 
     trains = False
     """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
-    models = False
-    """Whether the class takes ``model``, one of ``twin.model.structure.MODELS``."""
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters in ``Estimate.params`` ..."""
     parameter_units: tuple[str, ...] = ()

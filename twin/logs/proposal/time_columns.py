@@ -38,7 +38,7 @@ rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
 _WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 """Year, month and day in one number."""
 
-_AHEAD = re.compile(r"\b(?:UTC|GMT)\s*([+-]\d{1,2})(?::?(\d\d))?\b")
+_AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
 """How far a clock is ahead of UTC, in the name of its column."""
 
 
