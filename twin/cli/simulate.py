@@ -69,9 +69,7 @@ def simulate_command(
     suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, FAULT_START_S)
     for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
-            note(
-                f"the fault of {fault.kind} begins after the end of the run: gps10@30 begins at 30 s"
-            )
+            note(f"the fault of {fault.kind} begins after the run; gps10@30 begins at 30 s")
     if (found := ineffective_fault(parsed, dof, suite.has_anemometer)) is not None:
         note(found)
     note_capsizing(boat, state, dof)
