@@ -241,7 +241,7 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
     known = CONTROLLERS | DOCKING
     if model not in known:
         raise AgentError(
-            f"{model}: no such folder, policy, model (.zip) or controller; "
+            f"{model}: no such folder, policy or controller; "
             f"controllers: {', '.join(known)}; agents of your own: module:Class"
         )
     return [(model, known[model]())]
