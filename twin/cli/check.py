@@ -27,7 +27,7 @@ from twin.cli.tables import print_check, print_verdict
 from twin.integrity.findings import ERROR, WARNING
 from twin.integrity.instruments import renewed
 from twin.integrity.log_check import LogCheck, check_log
-from twin.logs.log import sibling_path
+from twin.logs.log import merged_notes, sibling_path
 from twin.particulars import ParticularsError
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import has_particulars, particulars_for_log
@@ -81,7 +81,7 @@ def check_command(
             write = None
         boat = particulars_for_log(log, ship, mapping) if known else None
         found = check_log(log, mapping, boat)
-        print_notes(found.notes, said)
+        print_notes(merged_notes(found.notes), said)
         print_check(found)
         verdict: Verdict | None = None
         if write is not None:

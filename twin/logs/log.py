@@ -10,7 +10,7 @@ import dataclasses
 import difflib
 import gzip
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +53,7 @@ from usv_kernel.files import replacing
 __all__ = [
     "LOG_SUFFIXES",
     "Log",
+    "merged_notes",
     "recorded_runs",
 ]
 
@@ -503,7 +504,17 @@ def assemble(table: Table) -> Log:
     if plane is not None or table.epoch is not None or datum is not None:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
-    return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth, commands_end)
+    said = tuple(merged_notes(notes))
+    return Log(t, z, cmd, truth, table.name, said, datum, motion_truth, commands_end)
+
+
+def merged_notes(notes: Sequence[str]) -> list[str]:
+    """Return notes; those that say the same of several columns are one."""
+    columns: dict[str, dict[str, None]] = {}
+    for note in notes:
+        name, _, what = note.rpartition(": ") if note.count(": ") == 1 else ("", "", note)
+        columns.setdefault(what, {})[name] = None
+    return [", ".join(names) + ": " * any(names) + what for what, names in columns.items()]
 
 
 def _merge_equal_times(table: Table) -> None:

@@ -75,7 +75,7 @@ def test_round_trip_keeps_the_bits(tmp_path: Path, name: str, truth: bool) -> No
     back = Log.read(tmp_path / name)
     assert same_bits(log, back)
     assert back.name == "a"
-    assert "gps_x_m: no value in 14 of 40 rows" in " ".join(back.notes)
+    assert "gps_vy_mps: no value in 14 of 40 rows" in " ".join(back.notes)
     assert "wind_mps: all 40 cells empty, taken as never measured" in back.notes
 
 
@@ -349,6 +349,14 @@ def test_empty_measurements_are_missing_data(tmp_path: Path) -> None:
         "gps_x_m: no value in 110 of 2000 rows (longest gap 10.0 s at t = 90.0 s)",
         "wind_mps: no value in 10 of 2000 rows (longest gap 1.0 s at t = 199.0 s)",
     )
+
+
+def test_columns_that_miss_the_same_have_one_note(tmp_path: Path) -> None:
+    table = columns(200)
+    for name in ("gps_x_m", "gps_y_m", "gps_vx_mps", "gps_vy_mps"):
+        table[name] = [cell if k % 5 == 0 else "" for k, cell in enumerate(table[name])]
+    (note,) = Log.read(save(tmp_path / "a.csv", table)).notes
+    assert note.startswith("gps_x_m, gps_y_m, gps_vx_mps, gps_vy_mps: no value in 160 of 200 rows")
 
 
 def test_empty_command_holds_the_last(tmp_path: Path) -> None:
