@@ -13,7 +13,7 @@ from twin.filters.navigation_state import ACCEL_LIMIT, TURN_LIMIT
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.checks import GAP_STEPS, is_gap
 from twin.logs.clock import SORT, set_back, stood_in_gap
-from twin.logs.columns import SHARE
+from twin.logs.columns import SHARE, UNITS
 from twin.logs.jumps import find_jumps
 from twin.logs.recording import Recording, wild_stamps
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
@@ -426,9 +426,10 @@ def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recordi
         z[rows[:, None], columns] = np.nan
         unit = SENSORS[sensor][0].rpartition("_")[2].replace("ps", "/s")
         most = rows[np.argmax(size[rows])]
+        knots = f" ({size[most] / UNITS['mps']['kn']:.5g} kn)" if sensor == "velocity" else ""
         what = (
             f"{recording.called(*SENSORS[sensor])}: {len(rows)} of {count} samples are absurd, up "
-            f"to {size[most]:.4g} {unit} (at t = {recording.t[most]:.1f} s) where the others reach "
+            f"to {size[most]:.4g} {unit}{knots} (at t = {recording.t[most]:.1f} s) where the others reach "
             f"{usual:.2g} {unit}"
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"

@@ -118,7 +118,7 @@ def test_an_absurd_velocity_is_named_and_no_other_fault(knots: float, rows: int,
     check = check_recording(recording(log, glitch), boat)
     assert serious(check) == {"mark:velocity"}
     found = finding(check, "mark:velocity")
-    assert found.size == pytest.approx(knots * 1852.0 / 3600.0)
+    assert found.size == pytest.approx(knots * 1852.0 / 3600.0) and f"({knots:g} kn)" in found.what
     assert check.agreed == pytest.approx(check_recording(recording(log), boat).agreed, abs=0.02)
 
 
