@@ -429,8 +429,8 @@ def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recordi
         knots = f" ({size[most] / UNITS['mps']['kn']:.5g} kn)" if sensor == "velocity" else ""
         what = (
             f"{recording.called(*SENSORS[sensor])}: {len(rows)} of {count} samples are absurd, up "
-            f"to {size[most]:.4g} {unit}{knots} (at t = {recording.t[most]:.1f} s) where the others reach "
-            f"{usual:.2g} {unit}"
+            f"to {size[most]:.4g} {unit}{knots} (at t = {recording.t[most]:.1f} s) where the "
+            f"others reach {usual:.2g} {unit}"
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
