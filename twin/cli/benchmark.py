@@ -63,7 +63,7 @@ def benchmark_command(
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="LOG...", help="Recorded runs to score. [simulated runs, and one of a boat]"
+            metavar="LOG", help="Recorded runs to score. [simulated runs, and one of a boat]"
         ),
     ] = None,
     full: Annotated[

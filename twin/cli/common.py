@@ -76,7 +76,7 @@ LogArgument = Annotated[
 LogsArgument = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...",
+        metavar="LOG",
         help="Logs: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.",
     ),
 ]
