@@ -221,9 +221,9 @@ def renewed(text: str, old: str) -> tuple[str, list[str]]:
             same = line.partition("#")[0].strip() == new.partition("#")[0].strip()
             by_hand = old.startswith(HEAD) and given.get(key) != getattr(usual, key, None)
             of_log = table == "instruments" and MARK in new and not by_hand
-            if not (same or of_log or MARK in line or line.startswith("#")):
+            if not (of_log or MARK in line or line.startswith("#")):
                 tables[table][key] = line
-                kept.append(key)
+                kept += [] if same else [key]
     parts = ["\n".join([f"[{table}]", *lines.values()]) for table, lines in tables.items()]
     return text[: text.index("\n[") + 1] + "\n\n".join(parts) + "\n", kept
 
