@@ -48,7 +48,12 @@ html_title = f"usv-twin {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
-html_theme_options = {"navigation_with_keys": True}
+html_theme_options = {
+    "navigation_with_keys": True,
+    "source_repository": "https://github.com/usv-twin/usv-twin/",
+    "source_branch": "main",
+    "source_directory": "docs/",
+}
 autosummary_generate = False
 suppress_warnings = ["config.cache"]
 

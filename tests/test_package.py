@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -53,3 +54,9 @@ def test_versions_agree():
 
     assert f"version: {usv_kernel.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## {usv_kernel.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_project_is_named_by_one_address():
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]
+    for name in ("README.md", "CITATION.cff", "docs/index.md", "docs/conf.py"):
+        assert about["Source"] in (ROOT / name).read_text(), name

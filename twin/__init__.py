@@ -10,6 +10,7 @@ from twin.logs.log import Log, recorded_runs
 from twin.particulars import Deck, Instruments, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import PREDICTORS, make_predictor
+from usv_kernel import __version__
 
 __all__ = [
     "PREDICTORS",
@@ -24,6 +25,7 @@ __all__ = [
     "StateError",
     "Twin",
     "TwinError",
+    "__version__",
     "known_plan",
     "make_predictor",
     "recorded_runs",

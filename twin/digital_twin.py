@@ -139,6 +139,11 @@ class Twin:
         self.t = self._lost_at = self._noted = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
+    def __repr__(self) -> str:
+        """Return predictor, boat and time."""
+        name = self.name or type(self.predictor).__name__
+        return f"Twin({name} of {self.particulars.name}, t = {self.t:.2f} s)"
+
     def reset(self) -> None:
         """Return to the state before the first row."""
         self.predictor.reset()

@@ -23,7 +23,10 @@ __all__ = [
 QUIET = "USV_TWIN_QUIET"
 """Environment variable; any value silences the message."""
 
-MESSAGE = "usv-twin: compiling kernels for about a minute (first use after an install or update)"
+MESSAGE = (
+    "usv-twin: compiling the kernels of this kind of use, for a minute or two of one core "
+    "(once after an install or update: the next start is quick)"
+)
 
 INTERRUPTED = "usv-twin: stops as soon as this kernel is compiled"
 

@@ -69,7 +69,9 @@ def pictures(settings, done, traced):
             drawn[file] = draw_parameters(scenario, name, part, start)
         first = (scenario, "none", settings.seeds[0])
         here = [unit for unit in done if (unit.scenario, unit.fault, unit.seed) == first]
-        examples = {u.predictor: done[u]["examples"][0] for u in here if u.predictor in DRAWN}
+        plan = settings.plans[0]
+        made = {u.predictor: done[u]["examples"][plan] for u in here if u.predictor in DRAWN}
+        examples = {name: found[0] for name, found in made.items()}
         truth = load_run(settings, here[0]).reference
         drawn[f"{scenario}_forecast"] = draw_forecast(scenario, examples, truth)
     return drawn

@@ -153,7 +153,7 @@ def seen(log, particulars):
     for t, z, cmd in log:
         history.update(t, 0.0 if math.isnan(before) else t - before, z, cmd)
         before = t
-    rows = np.array(history._rows).reshape(-1, ROW)
+    rows = history.rows.reshape(-1, ROW)
     # the grid begins with the first row that the navigation was ready for
     times = history._next - GRID * np.arange(len(rows), 0, -1)
     columns = [*log.truth.T]

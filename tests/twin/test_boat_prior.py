@@ -210,7 +210,7 @@ def test_only_models_of_the_same_structure_use_it(prior: BoatPrior, boat: Partic
         assert (prior_note(twin.predictor, name) == "") is used, name
         assert np.array_equal(twin.estimate().params, plain.estimate().params) != used
         assert prior_note(plain.predictor, name) == ""
-    assert "--model mmg" in prior_note(Twin(own, "ukf").predictor, "ukf")
+    assert "ukf:model=mmg" in prior_note(Twin(own, "ukf").predictor, "ukf")
 
 
 def test_runs_of_other_boats_or_with_a_prior_are_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import itertools
@@ -18,11 +19,14 @@ from gymnasium.vector import AutoresetMode
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.controllers import CONTROLLERS, DOCKING
+from twin.agents.hyperparameters import algorithm_class
 from twin.agents.policy import AgentError, Policy
-from twin.sim.wrapper import log_of
+from twin.agents.weights import SavedPolicy
+from twin.sim.wrapper import OBSERVATIONS, log_of
 from usv_gym.envs.scoring import STATION
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.channels import GPS_BIT
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import import_named
 
 __all__ = [
@@ -213,7 +217,8 @@ def on_grid(
 def agents_named(model: str) -> list[tuple[str, Agent]]:
     """Return the agents that a name stands for, each with its label.
 
-    It is the folder of a run or of several, a policy (.npz), a controller, or ``module:Class``.
+    It is the folder of a run or of several, a policy (.npz), a model of Stable-Baselines3 (.zip), a
+    controller, or ``module:Class``.
     """
     path = Path(model)
     if (path / "run.json").exists():
@@ -228,6 +233,9 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
         return [(str(name), Policy.load(file)) for name, file in zip(names, files, strict=True)]
     if path.suffix == ".npz":
         return [(model, Policy.load(path))]
+    if path.suffix == ".zip" and path.exists():
+        algorithm_class("ppo")  # says what to install
+        return [(model, SavedPolicy(path, _sizes()))]
     if ":" in model:
         return [(model, import_named(model, AgentError, model)())]
     known = CONTROLLERS | DOCKING
@@ -237,6 +245,17 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
             f"controllers: {', '.join(known)}; agents of your own: module:Class"
         )
     return [(model, known[model]())]
+
+
+def _sizes() -> dict[str, int]:
+    """Return how many entries the observation sets have, of a boat that does not roll."""
+    sizes = {}
+    for name in OBSERVATIONS:
+        with contextlib.suppress(UsvTwinError):
+            envs = make_envs(1, observation=name)
+            sizes[name] = int(np.prod(envs.single_observation_space.shape or ()))
+            envs.close()
+    return sizes
 
 
 def trained_with(agents: Sequence[Agent], given: Mapping[str, Any]) -> dict[str, Any]:

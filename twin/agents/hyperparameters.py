@@ -130,7 +130,7 @@ def algorithm_class(algo: str) -> type[BaseAlgorithm]:
         found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
     except ImportError:
         raise ImportError(
-            f"training with {algo} needs {module.replace('_', '-')}: pip install 'usv-twin[rl]'"
+            f"{algo} needs {module.replace('_', '-')}: pip install 'usv-twin[rl]'"
         ) from None
     return found
 

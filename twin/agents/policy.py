@@ -99,6 +99,12 @@ class Policy:
     _controller: Any = field(default=None, init=False, repr=False)
     _hidden: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
 
+    def __repr__(self) -> str:
+        """Return name, observation and sizes of the layers."""
+        seen = self.observation if isinstance(self.observation, str) else "named entries"
+        sizes = "-".join(str(len(bias)) for _, bias in self.layers)
+        return f"Policy({self.name}, {seen} of {len(self.names)} entries, layers {sizes})"
+
     def __post_init__(self) -> None:
         names = self.names
         texts = isinstance(names, tuple) and all(isinstance(name, str) for name in names)

@@ -1,18 +1,22 @@
-"""Weights of policies, from Stable-Baselines3 into a policy file."""
+"""Policies of Stable-Baselines3: into a policy file, or as they were saved."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.agents.policy import Policy
+from twin.agents.policy import AgentError, Policy
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
-__all__ = ["begin_nominal", "policy_of"]
+    from usv_gym.envs.vector import USVVectorEnv
+
+__all__ = ["SavedPolicy", "begin_nominal", "policy_of"]
 
 
 def actor_layers(net: Any) -> list[Any]:
@@ -83,3 +87,59 @@ def _activation(net: Any) -> str:
 
 def _array(parameter: Any) -> Any:
     return parameter.detach().numpy().copy()
+
+
+class SavedPolicy:
+    """The deterministic policy of a model that Stable-Baselines3 saved; an Agent.
+
+    Such a file does not say which observation it is for. It is the set of as many entries.
+
+    Parameters
+    ----------
+    path : Path
+        A .zip file of ``model.save``, of a model that was trained without ``VecNormalize``.
+    sizes : dict of str to int
+        Entries of each observation set.
+
+    Raises
+    ------
+    AgentError
+        It is no such file, or no set has as many entries.
+    """
+
+    def __init__(self, path: Path, sizes: Mapping[str, int]) -> None:
+        from stable_baselines3.common.save_util import load_from_zip_file
+
+        try:
+            data, parameters, _ = load_from_zip_file(path, device="cpu")
+            assert data is not None
+            spaces = data["observation_space"], data["action_space"]
+            self._policy = data["policy_class"](*spaces, lambda _: 0.0, **data["policy_kwargs"])
+            self._policy.load_state_dict(parameters["policy"])
+        except Exception as error:  # what is pickled may raise anything
+            raise AgentError(
+                f"{path}: is no model of Stable-Baselines3 that can be loaded here "
+                f"({type(error).__name__}: {error})"
+            ) from None
+        self.name, shape = path.stem, spaces[0].shape
+        sets = [name for name, size in sizes.items() if shape == (size,)]
+        if not sets:
+            raise AgentError(
+                f"{path}: sees {shape}, and no observation set has as many entries; write the six "
+                "lines of an agent, as in docs/tutorials/train_agent.md, and name it module:Class"
+            )
+        self.observation = sets[0]
+        self._memory: Any = None
+        self._begins: NDArray[np.bool_] | None = None
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """Forget all there was."""
+        self._memory, self._begins = None, np.ones(envs.num_envs, dtype=np.bool_)
+
+    def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the actions, shape (n, 2), for observations (n, D)."""
+        action, self._memory = self._policy.predict(
+            obs, state=self._memory, episode_start=self._begins, deterministic=True
+        )
+        self._begins = None if self._begins is None else np.zeros_like(self._begins)
+        return np.asarray(action, dtype=np.float64)

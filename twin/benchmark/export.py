@@ -35,7 +35,22 @@ COLUMNS = {
 }
 """Columns of the LaTeX tables by metric: heading, and factor from the results' unit."""
 
-UNITS = {"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"}
+VERDICT = {
+    "position_m": "position (m)",
+    "heading_deg": r"heading ($^\circ$)",
+    "ratio": "ratio",
+    "mae": "MAE",
+    "mse": "MSE",
+}
+"""Columns of the LaTeX table of the verdict by metric."""
+
+LOSSES = {"none": "", "any": ", loss", "all": ""}
+"""What is said of a loss behind such a column."""
+
+UNITS = {
+    **{"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"},
+    **{"verdict_position_m": "m", "verdict_heading_deg": "deg"},
+}
 """Units of the metrics that have one."""
 
 FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}"
@@ -60,6 +75,44 @@ def _recorded(results: Row) -> list[dict[str, Any]]:
         }
         for row in results.get("recorded") or []
         if row.get("ratio") is not None
+    ]
+
+
+def _paired(results: Row) -> list[dict[str, Any]]:
+    """Return the paired comparisons as rows like those of the summary: change, and runs won."""
+    found = [
+        {**row, "metric": "mae", "value": row["change_percent"], "median": row["median_percent"]}
+        | {"runs": row["seeds"]}
+        for row in results.get("paired") or []
+    ]
+    found += [
+        {**row, "scenario": row["folder"], "case": row["fault"], "value": row["change_percent"]}
+        | {"metric": f"rmse_{row['channel']}_10s", "low": row["change_low"]}
+        | {"high": row["change_high"], "median": None}
+        for row in results.get("recorded") or []
+        if "change_percent" in row
+    ]
+    won = [
+        {**row, "value": 100.0 * row["wins"] / row["runs"], "score": "won"}
+        | {"low": None, "high": None, "median": None}
+        for row in found
+    ]
+    return [
+        {**row, "metric": f"{row['metric']}_{kind}_against_{row['against']}", "unit": "%"}
+        for kind, rows in (("change", found), ("won", won))
+        for row in rows
+    ]
+
+
+def _verdict(results: Row) -> list[dict[str, Any]]:
+    """Return the verdict as rows like those of the summary, over all scenarios; case: the loss."""
+    return [
+        {"scenario": "all", "case": row["loss"], "predictor": row["predictor"]}
+        | {"metric": f"verdict_{name}", "value": row[name], "runs": row["runs"]}
+        | {"low": row.get(f"{name}_low"), "high": row.get(f"{name}_high")}
+        for name in VERDICT
+        for row in results.get("verdict") or []
+        if row[name] is not None
     ]
 
 
@@ -95,7 +148,7 @@ def _runs(results: Row) -> Counter[tuple[Any, ...]]:
 
 
 def csv_text(results: Row) -> str:
-    """Return every value of the summary, of recorded runs, and of the motion, as one CSV table.
+    """Return every value of verdict, summary, comparisons, recorded runs and motion as a CSV table.
 
     Parameters
     ----------
@@ -109,7 +162,8 @@ def csv_text(results: Row) -> str:
         plan and metric to three digits, the oracle left out.
     """
     count, table = _runs(results), []
-    rows = [*(results.get("summary") or []), *_recorded(results), *_motion(results)]
+    rows = [*_verdict(results), *(results.get("summary") or []), *_recorded(results)]
+    rows += [*_paired(results), *_motion(results)]
     for block in grouped(rows, *CELL, "metric").values():
         best = best_text(block[0].get("score", block[0]["metric"]), block)
         for row in block:
@@ -124,7 +178,7 @@ def csv_text(results: Row) -> str:
 
 
 def latex_text(results: Row) -> str:
-    """Return a LaTeX table for each run and case, and one for each folder of recorded runs.
+    """Return LaTeX tables: the verdict, each run and case, paired tests, folders of recorded runs.
 
     They need the packages ``booktabs`` and ``graphicx``; what is wider than the text is scaled to
     it. Below each mean stands its 95 % interval over seeds; the best value of a column is bold, the
@@ -141,6 +195,18 @@ def latex_text(results: Row) -> str:
         f"% {' '.join(results.get('command', '').split())}\n"
         "% needs \\usepackage{booktabs,graphicx}\n"
     ]
+    verdict = [
+        {**row, "metric": VERDICT[row["metric"].removeprefix("verdict_")] + LOSSES[row["case"]]}
+        for row in _verdict(results)
+        if (row["case"] == "all") == (row["metric"] in ("verdict_mae", "verdict_mse"))
+    ]
+    if verdict:
+        caption = (
+            "All scenarios: mean errors of position and heading after 10\\,s, their ratio to those "
+            "of persistence, pooled MAE and MSE, with 95\\,\\% intervals over boats, best in bold."
+        )
+        heads = {row["metric"]: (row["metric"], 1.0) for row in verdict}
+        tables.append(_latex_table(verdict, heads, caption, "verdict"))
     count = _runs(results)
     summary = results.get("summary") or []
     for (scenario, case, plan), rows in grouped(summary, *CELL).items():
@@ -157,6 +223,18 @@ def latex_text(results: Row) -> str:
             caption += " The oracle knows the true boat and takes no part."
         metrics = {m: head for m, head in COLUMNS.items() if any(r["metric"] == m for r in rows)}
         tables.append(_latex_table(rows, metrics, caption, f"{scenario}-{case}-{plan}"))
+    for (scenario, case, plan), rows in grouped(_paired(results), *CELL).items():
+        against = rows[0]["against"]
+        caption = (
+            f"{_escaped(scenario)}, case {_escaped(case)}, {_planned(plan)}: change of the error "
+            f"against {_escaped(against)} on the same runs, with its 95\\,\\% interval, below 0 is "
+            "better, and the share of runs in which it is smaller."
+        )
+        heads = {
+            name: (_escaped(f"{name.partition('_against_')[0]} (%)".replace("_", " ")), 1.0)
+            for (name,) in grouped(rows, "metric")
+        }
+        tables.append(_latex_table(rows, heads, caption, f"{scenario}-{case}-{plan}-paired"))
     for (folder, fault, plan), rows in grouped(
         _recorded(results), "scenario", "fault", "plan"
     ).items():
@@ -178,7 +256,10 @@ def _latex_table(
 ) -> str:
     """Return one LaTeX table with a line for each predictor."""
     by_metric = grouped(rows, "metric")
-    best = {m: best_text(m, by_metric[m,], factor) for m, (_name, factor) in metrics.items()}
+    best = {
+        m: best_text(by_metric[m,][0].get("score", m), by_metric[m,], factor)
+        for m, (_name, factor) in metrics.items()
+    }
     lines = []
     for (predictor,), own in grouped(rows, "predictor").items():
         values, intervals = [], []

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from twin.digital_twin import PLANS
-from twin.model.structure import MODELS, StructureError
 from twin.particulars import ParticularsError
 from twin.predictors.registry import (
     EXTRAS,
@@ -128,7 +127,6 @@ class Settings:
     vessel: str = "usv75"  # name or TOML file
     spread: float = SPREAD  # relative variation of the boat from seed to seed, see Vessel.varied
     dof: int = 3  # degrees of freedom of the simulated ship, 3 or 6
-    model: str | None = None  # model structure of the predictors; None for the default of each
     # sea state: wave height (m), wind speed (m/s) and direction (degrees)
     hs: float = 0.5
     wind: float = 4.5
@@ -153,10 +151,6 @@ class Settings:
                 )
         for name in self.predictors:
             predictor_class(name)
-        if self.model is not None and self.model not in MODELS:
-            raise StructureError(
-                f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
-            )
         for name in self.plans:
             if name not in PLANS:
                 raise PredictorError(f"no plan is called {name!r}; known: {', '.join(PLANS)}")

@@ -34,7 +34,13 @@ __all__ = [
 Row = Mapping[str, Any]
 
 DRAWN_CASES_MAX = 8
-"""Of more cases than these, the errors against the horizon are not drawn."""
+"""Of more cases, the errors against the horizon are drawn of the first, and a note says so."""
+
+OF_SIMULATION = (
+    *("scenarios", "cases", "seeds", "vessel", "spread", "dof", "hs", "wind", "wind_from_deg"),
+    *("schedule", "spreading", "identify_s", "duration_s"),
+)
+"""Settings that say nothing of recorded runs."""
 
 CHANNEL_METRICS = ("coverage90", "mae", "crps")
 """Metrics with a table by channel and horizon."""
@@ -69,20 +75,20 @@ class Pictures:
 
 
 def write_report(
-    out: Path, results: dict[str, Any], runs: list[RunFigure], *, pdf: bool = False
+    out: Path, results: dict[str, Any], runs: list[RunFigure] | None, *, pdf: bool = False
 ) -> list[Path]:
     """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
     ``results`` is the content of ``results.json``; parts of it may be missing. ``pdf`` writes each
-    picture as PDF, too.
+    picture as PDF, too. Without ``runs`` there are no pictures at all.
     """
     folder = Path(out) / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.iterdir():
+    for stale in folder.glob("*") if runs is not None else ():
         if stale.suffix in (".png", ".svg", ".pdf"):
             stale.unlink()
     rows = [*results.get("rows", ()), *results.get("summary", ())]
     predictors = [row["predictor"] for row in rows]
+    drawn, runs = runs is not None, runs or []
     predictors += [name for run in runs for name in run.examples]
     pictures = Pictures(folder, predictor_styles(dict.fromkeys(predictors)), pdf)
     # a run with a loss stands at the top, of a zigzag if there is one
@@ -93,15 +99,15 @@ def write_report(
             title: {name: block[name] for name in best_first(block)}
             for title, block in recorded_blocks(results).items()
         },
-        "first": _first_pictures(results.get("verdict"), first, pictures),
+        "first": _first_pictures(results.get("verdict"), first, pictures) if drawn else [],
         "command": results.get("command", ""),
-        "notes": results.get("notes", ()),
+        "notes": [*results.get("notes", ()), *_not_drawn(results)],
         "faults": sorted({row["fault"] for row in rows} - {"none"}),
         "loss_ends": results.get("losses", ()),
         **_motion(results),
-        "cases": _cases(results, pictures),
+        "cases": _cases(results, pictures, DRAWN_CASES_MAX if drawn else 0),
         "metrics": METRICS,
-        "settings": {key: _text(value) for key, value in results.get("settings", {}).items()},
+        "settings": _settings(results.get("settings", {})),
         "version": results.get("version", ""),
         "tuning": {name: item["tuning"] for name, item in results.get("predictors", {}).items()},
         "runs": [_run(run, pictures, run is first) for run in runs],
@@ -129,6 +135,22 @@ def _page(sections: Mapping[str, Any]) -> str:
         "title_of": lambda metric: METRICS[metric][0],
     }
     return environment.get_template("report.html.jinja").render(**sections)
+
+
+def _not_drawn(results: Row) -> list[str]:
+    """Return a note where pictures of the errors against the horizon are left out."""
+    count = len(grouped(results.get("summary", ()), "scenario", "case"))
+    note = (
+        f"The errors against the horizon are drawn of the first {DRAWN_CASES_MAX} of {count} runs "
+        "and losses; name fewer scenarios, faults or logs to see others."
+    )
+    return [note] if count > DRAWN_CASES_MAX else []
+
+
+def _settings(settings: Row) -> dict[str, str]:
+    """Return the settings that say something of the runs."""
+    left_out = () if settings.get("scenarios", True) else OF_SIMULATION
+    return {key: _text(value) for key, value in settings.items() if key not in left_out}
 
 
 def _text(value: Any) -> str:
@@ -178,20 +200,20 @@ def _motion(results: Row) -> dict[str, Any]:
     }
 
 
-def _cases(results: Row, pictures: Pictures) -> list[dict[str, Any]]:
-    """Return tables, and a picture of the errors, for each scenario and case."""
+def _cases(results: Row, pictures: Pictures, drawn: int) -> list[dict[str, Any]]:
+    """Return tables for each scenario and case, and a picture of the errors for so many."""
     parts = {
         part: grouped(results.get(part, ()), "scenario", "case")
         for part in ("summary", "paired", "channels")
     }
-    cases = []
+    cases: list[dict[str, Any]] = []
     for key in parts["summary"]:
         summary, paired, channels = (groups.get(key, []) for groups in parts.values())
         scenario, case = key
         title = f"{scenario}, {case}" if case != "none" else f"{scenario}, no fault"
         there = {row["metric"] for row in summary}
         metrics = [metric for metric in METRICS if metric in there]
-        few = len(parts["summary"]) <= DRAWN_CASES_MAX
+        few = len(cases) < drawn
         figure = growth_figure(title, channels, pictures.styles) if few else None
         caption = "Mean absolute error against the horizon, mean over seeds, with the first plan."
         cases.append(

@@ -49,7 +49,7 @@ from twin.logs.log import Log, files_of, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction, Predictor
-from twin.predictors.registry import options_of, predictor_class
+from twin.predictors.registry import base_name, options_of, predictor_class
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
@@ -77,8 +77,11 @@ AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
 
 
-NAME_MAX = 180
-"""Longest name of a result file without its ending, characters; file systems take 255."""
+BY_PLAN = ("plans", "motion", "examples")
+"""Parts of a result that have an entry for each plan."""
+
+NAME_MAX = 160
+"""Most characters of a run and predictor in the name of a result file; file systems take 255."""
 
 
 def run_unit(
@@ -86,8 +89,8 @@ def run_unit(
 ) -> dict[str, Any]:
     """Run one predictor on one run, score it, and keep the result in a file of the folder.
 
-    The file is replaced as a whole or not at all. ``pictures`` keeps a few predictions for the
-    pictures. ``run`` is from :func:`load_run`, where at hand.
+    The file is replaced as a whole or not at all, and keeps the plans that it has. ``pictures``
+    keeps a few predictions for the pictures. ``run`` is from :func:`load_run`, where at hand.
     The result has ``unit``, ``plans`` with a table of scores each (see
     :func:`twin.benchmark.scores.table_of`), and what the pictures need.
     """
@@ -110,7 +113,7 @@ def run_unit(
     motions: dict[str, list[MotionScore]] = {plan: [] for plan in settings.plans}
     starts: list[float] = []
     skipped = 0
-    examples: list[Prediction] = []
+    examples: dict[str, list[Any]] = {plan: [] for plan in settings.plans if pictures}
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
         # copies: through the base of a view, a predictor could see the future
@@ -149,9 +152,9 @@ def run_unit(
                 )
             if plan == settings.plans[0]:
                 starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
-                shown = len(examples)
-                if pictures and shown < len(example_at) and t >= example_at[shown] - 1e-9:
-                    examples.append(prediction)
+            shown = len(examples.get(plan, example_at))
+            if shown < len(example_at) and t >= example_at[shown] - 1e-9:
+                examples[plan].append(_thin(prediction))
     if not starts:
         gaps = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
         raise BenchmarkError(
@@ -177,8 +180,11 @@ def run_unit(
     if motion_truth is not None:
         result["motion"] = {plan: motion_table(parts) for plan, parts in motions.items() if parts}
     if pictures:
-        result["examples"] = [_thin(p) for p in examples]
-    keep(result_file(folder, unit), [digest(settings, unit), pictures], result)
+        result["examples"] = examples
+    path, key = result_file(settings, unit, folder), digest(settings, unit)
+    before = kept(path, key) or {}
+    of_plans = {name: {**before.get(name, {}), **result.get(name, {})} for name in BY_PLAN}
+    keep(path, key, {**result, **{name: part for name, part in of_plans.items() if part}})
     return result
 
 
@@ -187,10 +193,7 @@ def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
     options: dict[str, Any] = {}
     if run.simulator:
         options |= simulator_options(unit.predictor, *run.simulator)
-    kind = predictor_class(unit.predictor)
-    if settings.model is not None and kind.models:
-        options["model"] = settings.model
-    if kind.trains:
+    if predictor_class(unit.predictor).trains:
         # in time for the first prediction, whose history begins with the first late fix
         options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
     # what stands in the name is closer to the predictor than what holds for all
@@ -232,15 +235,8 @@ def digest(settings: Settings, unit: Unit) -> str:
     That is programs and their versions, settings, unit, the sources and files of the predictor, and
     the recorded file. Files count by name and content, not by folder.
     """
-    asked = dataclasses.asdict(settings)
-    for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
-        del asked[key]
-    for key in ("vessel", "ship", "mapping"):
-        if asked[key] is not None:
-            asked[key] = Path(asked[key]).name
-    asked_of = {**dataclasses.asdict(unit), "log": Path(unit.log).name}
     program = [__version__, running_program(), versions(unit.predictor)]
-    value = hashlib.sha256(json.dumps([*program, asked, asked_of], sort_keys=True).encode())
+    value = hashlib.sha256(json.dumps([*program, _asked(settings, unit)], sort_keys=True).encode())
     value.update(predictor_digest(unit.predictor).encode())
     ship = settings.ship if unit.log else settings.vessel
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
@@ -257,24 +253,38 @@ def digest(settings: Settings, unit: Unit) -> str:
     return value.hexdigest()
 
 
-def result_file(folder: Path, unit: Unit) -> Path:
-    """Return the file that holds the result of one piece of work."""
-    # reversible: no two runs share a file
-    name = urllib.parse.quote(f"{unit.run}_{unit.predictor}", safe="+")
-    if len(name) > NAME_MAX:  # many options
-        name = f"{name[: NAME_MAX - 20]}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
-    return folder / "runs" / f"{name}.json"
+def _asked(settings: Settings, unit: Unit) -> list[dict[str, Any]]:
+    """Return a unit, and the settings that its result depends on, as far as they have names."""
+    asked = dataclasses.asdict(settings)
+    for key in ("scenarios", "faults", "cases", "seeds", "predictors", "plans", "logs"):
+        del asked[key]
+    for key in ("vessel", "ship", "mapping"):
+        if asked[key] is not None:
+            asked[key] = Path(asked[key]).name
+    return [asked, {**dataclasses.asdict(unit), "log": Path(unit.log).name}]
+
+
+def result_file(settings: Settings, unit: Unit, folder: Path) -> Path:
+    """Return the file that holds the result of one piece of work; other settings have another."""
+    asked = json.dumps(_asked(settings, unit), sort_keys=True).encode()
+    name = urllib.parse.quote(f"{unit.run}_{unit.predictor}", safe="+")[:NAME_MAX]
+    return folder / "runs" / f"{name}_{hashlib.sha256(asked).hexdigest()[:16]}.json"
 
 
 def finished(settings: Settings, unit: Unit, folder: Path) -> dict[str, Any] | None:
     """Return the result of earlier work with the same settings, if there is one."""
-    path = result_file(folder, unit)
-    if not path.exists():
+    path = result_file(settings, unit, folder)
+    result: dict[str, Any] = (path.exists() and kept(path, digest(settings, unit))) or {}
+    needed = ("plans", "examples") if wants_pictures(settings, unit) else ("plans",)
+    if any(plan not in result.get(name, ()) for name in needed for plan in settings.plans):
         return None
-    key = [digest(settings, unit), wants_pictures(settings, unit)]
-    result: dict[str, Any] | None = kept(path, key)
     # an equal log may lie in another folder now
-    return None if result is None else {**result, "unit": dataclasses.asdict(unit)}
+    of_plans = {
+        name: {plan: result[name][plan] for plan in settings.plans if plan in result[name]}
+        for name in BY_PLAN
+        if name in result
+    }
+    return {**result, **of_plans, "unit": dataclasses.asdict(unit)}
 
 
 def reusable(settings: Settings, folder: Path) -> dict[Unit, dict[str, Any]]:
@@ -370,7 +380,13 @@ def collect(
     ``notes`` are remarks for a reader. ``against`` is the reference of the paired comparisons:
     :data:`AGAINST` if left out, on recorded runs :data:`AGAINST_RECORDED` where it takes part.
     """
-    ordered = [done[unit] for unit in units(settings) if unit in done]
+    names = shown_names(settings.predictors)
+    ordered = [
+        {**done[unit], "unit": {**done[unit]["unit"], "predictor": names[unit.predictor]}}
+        for unit in units(settings)
+        if unit in done
+    ]
+    against = None if against is None else names[against]
     runs = run_rows(ordered)
     on_recorded = AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
     return {
@@ -385,7 +401,7 @@ def collect(
         },
         "predictors": {
             # a subclass does not inherit the search for its parent's settings
-            name: {
+            names[name]: {
                 "tuning": vars(predictor_class(name)).get("tuning", Predictor.tuning),
                 "sources": predictor_digest(name),
             }
@@ -415,6 +431,13 @@ def collect(
     }
 
 
+def shown_names(predictors: Sequence[str]) -> dict[str, str]:
+    """Return what predictors are called in results: one of a module by its class, where clear."""
+    shown = {name: name.split(":", 1)[1] if ":" in base_name(name) else name for name in predictors}
+    names = list(shown.values())
+    return {name: own if names.count(own) == 1 else name for name, own in shown.items()}
+
+
 def lost_gps(settings: Settings, unit: Unit, run: Run) -> list[tuple[float, float]]:
     """Return the spans of time without GPS in a run, s."""
     begin = float(run.reference.t[0])
@@ -436,10 +459,10 @@ def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
     """Return what the report draws: one entry for each run that kept its pictures."""
-    shown: dict[tuple[str, str, int], RunFigure] = {}
+    names, shown = shown_names(settings.predictors), dict[tuple[str, str, int], RunFigure]()
     for unit in units(settings):
         result = done.get(unit)
-        if result is None or "examples" not in result:
+        if result is None or not wants_pictures(settings, unit):
             continue
         key = (unit.scenario, unit.fault, unit.seed)
         if key not in shown:
@@ -447,12 +470,12 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
             shown[key] = RunFigure(
                 scenario=unit.scenario,
                 fault=unit.fault,
-                seed=unit.seed,
+                seed=None if unit.log else unit.seed,
                 log=run.reference,
                 lost=lost_gps(settings, unit, run),
                 examples={},
             )
-        shown[key].examples[unit.predictor] = [
-            _prediction_of(example) for example in result["examples"]
+        shown[key].examples[names[unit.predictor]] = [
+            _prediction_of(example) for example in result["examples"][settings.plans[0]]
         ]
     return list(shown.values())

@@ -242,7 +242,6 @@ def judge(
     particulars: Particulars,
     predictor: str = DEFAULT,
     *,
-    model: str | None = None,
     findings: Sequence[Finding] = (),
     on_row: Callable[[], object] | None = None,
 ) -> Verdict:
@@ -254,8 +253,8 @@ def judge(
         The run; its truth is not used.
     particulars : Particulars
         Of the boat.
-    predictor, model : str, optional
-        Names of the predictor and of its model's structure.
+    predictor : str, optional
+        Its name, with options behind a colon.
     findings : sequence of Finding
         What :func:`twin.integrity.log_check.check_log` found in the log.
     on_row : callable, optional
@@ -268,8 +267,7 @@ def judge(
     """
     check_simulator(predictor, log, particulars)
     run = log.without_truth()
-    options: dict[str, Any] = {} if model is None else {"model": model}
-    twin = Twin(particulars, predictor, **options)
+    twin = Twin(particulars, predictor)
     twin.locate(run.datum)
     meter = TrustMeter(twin, run)
 

@@ -33,7 +33,6 @@ from twin.cli.common import (
     HsOption,
     JobsOption,
     MappingOption,
-    ModelOption,
     WindFromOption,
     WindOption,
     console,
@@ -61,6 +60,12 @@ from usv_kernel.files import write_whole
 
 
 def benchmark_command(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="LOG", help="Recorded runs to score. [simulated runs, and one of a boat]"
+        ),
+    ] = None,
     full: Annotated[
         bool,
         typer.Option(
@@ -125,17 +130,12 @@ def benchmark_command(
         ),
     ] = SPREAD,
     dof: DofOption = 3,
-    model: ModelOption = None,
     hs: HsOption = "0.5",
     wind: WindOption = "4.5",
     wind_from: WindFromOption = "135",
     spreading: Annotated[
         float | None,
         typer.Option(help="Exponent s of short-crested waves. [long-crested]", min=0.0),
-    ] = None,
-    log: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recorded runs to score instead of simulated ones (several files)."),
     ] = None,
     ship: Annotated[
         str | None,
@@ -158,6 +158,9 @@ def benchmark_command(
     pdf: Annotated[
         bool, typer.Option("--pdf", help="Write each picture as PDF, too, beside the SVG.")
     ] = False,
+    no_pictures: Annotated[
+        bool, typer.Option("--no-pictures", help="Draw none: the report has tables only.")
+    ] = False,
     fresh: Annotated[
         bool,
         typer.Option(
@@ -177,7 +180,7 @@ def benchmark_command(
 
     Without arguments: a 20 degree turn and a 20/-20 zigzag of 7.5 m boats in sea state 2. There
     are six seeds each, future commands known and held, and one recorded run of a real boat. With
-    --full: the full protocol. With --log: recorded runs, scored against later measurements.
+    --full: the full protocol. With logs: recorded runs, scored against later measurements.
     Archives that twin.logs.datasets knows are read as downloaded. A file that cannot be read is
     reported, and the others are scored.
 
@@ -194,7 +197,7 @@ def benchmark_command(
     names, notes = available(parse_predictors(predictors))
     if not names:
         raise PredictorError("; ".join(notes))
-    recorded, missing = _find_logs(log or [])
+    recorded, missing = _find_logs(logs or [])
     options: dict[str, Any] = {"logs": recorded}
     if full:
         options |= {**FULL, "cases": _parse_cases(cases)} if not recorded else FULL
@@ -221,7 +224,6 @@ def benchmark_command(
         vessel=vessel,
         spread=spread,
         dof=dof,
-        model=model,
         **sea_settings(hs, wind, wind_from),
         spreading=spreading,
         mapping=str(mapping) if recorded and mapping else None,
@@ -255,7 +257,7 @@ def benchmark_command(
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
     if len(done) + len(failed) < len(work):
-        kept = sum(runner.result_file(out, unit).exists() for unit in work)
+        kept = sum(runner.result_file(settings, unit, out).exists() for unit in work)
         raise stopped(
             f"{kept} of {len(work)} results are kept in {out}; the same command goes on from there"
         )
@@ -263,8 +265,8 @@ def benchmark_command(
         raise BenchmarkError("nothing could be scored; the lines above say why")
     from twin.benchmark.report import write_report
 
-    figures = runner.run_figures(settings, done)
-    with status("drawing"):
+    figures = None if no_pictures else runner.run_figures(settings, done)
+    with status("writing the report"):
         written = write_report(out, results, figures, pdf=pdf)
     console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
 

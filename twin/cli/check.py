@@ -9,14 +9,15 @@ import typer
 
 from twin.benchmark.trust import BAD, OK, Verdict, judge
 from twin.cli.common import (
-    LogArgument,
+    LogsArgument,
     MappingOption,
-    ModelOption,
     OptionError,
     PredictorOption,
     ShipOption,
     console,
     note,
+    one_run,
+    print_notes,
     row_progress,
     write_json,
     write_text,
@@ -24,18 +25,20 @@ from twin.cli.common import (
 from twin.cli.pictures import draw_check
 from twin.cli.tables import print_check, print_verdict
 from twin.integrity.findings import ERROR, WARNING
-from twin.integrity.log_check import check_log
+from twin.integrity.instruments import renewed
+from twin.integrity.log_check import LogCheck, check_log
+from twin.logs.log import merged_notes, sibling_path
+from twin.particulars import ParticularsError
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import has_particulars, particulars_for_log
-from usv_kernel.files import write_whole
+from usv_kernel.files import read_toml, write_whole
 
 
 def check_command(
-    log: LogArgument,
+    logs: LogsArgument,
     ship: ShipOption = None,
     mapping: MappingOption = None,
     predictor: PredictorOption = DEFAULT,
-    model: ModelOption = None,
     no_twin: Annotated[
         bool, typer.Option("--no-twin", help="Only check the log: no twin runs over it.")
     ] = False,
@@ -55,7 +58,7 @@ def check_command(
         Path | None, typer.Option("--json", help="Everything, in full precision.")
     ] = None,
 ) -> None:
-    """Tell what is wrong with a log, and whether a twin of it may be trusted.
+    """Tell what is wrong with a log, or several, and whether a twin of it may be trusted.
 
     First the log: rates, gaps, noise and delays of the sensors, units, signs and sides, and how
     sensors and commands agree. One line a finding, with its number and the remedy.
@@ -69,39 +72,57 @@ def check_command(
     """
     if write is not None and write.exists() and not force:
         raise OptionError(f"--write {write}: is there already; choose another name, or --force")
-    known = ship is not None or has_particulars(log)
-    boat = particulars_for_log(log, ship, mapping) if known else None
-    found = check_log(log, mapping, boat)
-    print_check(found)
-    verdict: Verdict | None = None
-    if boat is None:
-        note(
-            "whether a twin may be trusted needs the particulars of the boat: --write FILE writes "
-            "them as far as the log shows them, then fill in length, beam, draft and mass there; "
-            "or name the boat with --ship"
-        )
-    elif found.log is None:
-        note("no twin can run over this log until its errors are mended")
-    elif not no_twin:
-        with row_progress("the twin runs", len(found.log)) as advance:
-            verdict = judge(
-                found.log, boat, predictor, model=model, findings=found.findings, on_row=advance
-            )
-        print_verdict(verdict)
-    if json_file is not None:
-        trust = None if verdict is None else verdict.to_json()
-        write_json(json_file, {**found.to_json(), "verdict": trust})
-    if not no_picture and len(found.recording.t) > 1:
-        path = picture or Path(f"{found.recording.name}_check.png")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, draw_check(found, verdict))
-        console.print(f"picture: {path}", soft_wrap=True)
-    if write is not None:
-        write_text(write, found.particulars_text(boat))
-        console.print(f"particulars: {write}", soft_wrap=True)
+    one_run(logs, {"--out": picture, "--write": write, "--json": json_file})
+    failed, said = False, set[str]()
+    for log in logs:
+        known = ship is not None or has_particulars(log)
+        if write is not None and _is_renewed(write, Path(ship or sibling_path(log, ".toml"))):
+            known = _renew(write, check_log(log, mapping))
+            write = None
+        boat = particulars_for_log(log, ship, mapping) if known else None
+        found = check_log(log, mapping, boat)
+        print_notes(merged_notes(found.notes), said)
+        print_check(found)
+        verdict: Verdict | None = None
+        if write is not None:
+            write_text(write, found.particulars_text(boat))
+            console.print(f"particulars: {write}", soft_wrap=True)
         if boat is None:
-            note("length, beam, draft and mass stand in no log: fill them in before use")
-    grade = OK if verdict is None else verdict.grade
-    is_bad = found.count(ERROR) > 0 or grade == BAD
-    if is_bad or (strict and (found.count(WARNING) > 0 or grade != OK)):
+            note(
+                "whether a twin may be trusted needs the particulars of the boat: --write FILE "
+                "writes them as far as the log shows them, then fill in length, beam, draft and "
+                "mass there; or name the boat with --ship"
+            )
+        elif found.log is None:
+            note("no twin can run over this log until its errors are mended")
+        elif not no_twin:
+            with row_progress("the twin runs", len(found.log)) as advance:
+                verdict = judge(found.log, boat, predictor, findings=found.findings, on_row=advance)
+            print_verdict(verdict)
+        if json_file is not None:
+            trust = None if verdict is None else verdict.to_json()
+            write_json(json_file, {**found.to_json(), "verdict": trust})
+        if not no_picture and len(found.recording.t) > 1:
+            path = picture or Path(f"{found.recording.name}_check.png")
+            write_whole(path, draw_check(found, verdict))
+            console.print(f"picture: {path}", soft_wrap=True)
+        grade = OK if verdict is None else verdict.grade
+        failed |= found.count(ERROR) > 0 or grade == BAD
+        failed |= strict and (found.count(WARNING) > 0 or grade != OK)
+    if failed:
         raise typer.Exit(1)
+
+
+def _is_renewed(path: Path, in_use: Path) -> bool:
+    """Return whether a file is there and holds the particulars that are in use."""
+    same = path.exists() and path.resolve() == in_use.resolve()
+    return same and "particulars" in read_toml(path, ParticularsError)
+
+
+def _renew(path: Path, found: LogCheck) -> bool:
+    """Write a particulars file anew from a log, and return whether it is complete."""
+    text, kept = renewed(found.particulars_text(), path.read_text(encoding="utf-8"))
+    write_text(path, text)
+    said = f"{', '.join(kept)}, written by hand" if kept else "nothing"
+    console.print(f"particulars: {path}; kept of the file before: {said}", soft_wrap=True)
+    return " = ?" not in text

@@ -9,7 +9,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,7 +19,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 
-from twin.model.structure import MODELS
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
@@ -74,6 +73,14 @@ LogArgument = Annotated[
     Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.")
 ]
 
+LogsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG",
+        help="Logs: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.",
+    ),
+]
+
 OPTIONS_EXAMPLE = "dsw-ukf:window=off,w_min=20"
 """How options stand in a predictor's name."""
 
@@ -83,14 +90,6 @@ PredictorOption = Annotated[
         "--predictor",
         "-p",
         help=f"One of: {', '.join(PREDICTORS)}; with options as {OPTIONS_EXAMPLE}.",
-    ),
-]
-
-ModelOption = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        help=f"Model structure, one of: {', '.join(MODELS)}. Default: that of the predictor.",
     ),
 ]
 
@@ -152,9 +151,8 @@ CurrentToOption = Annotated[
 
 SensorsOption = Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")]
 
-FaultStartOption = Annotated[
-    float, typer.Option(help="Start of a fault that is given by its length, s.")
-]
+FAULT_START_S = 85.0
+"""Start of a fault that says none, as gps10 and not gps10@30."""
 
 ShaftMaxOption = Annotated[
     float | None,
@@ -178,6 +176,14 @@ CPUS = os.cpu_count() or 1
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def print_notes(notes: Iterable[str], said: set[str]) -> None:
+    """Print notes that were not said of another log before."""
+    for text in notes:
+        if text not in said:
+            note(text)
+    said.update(notes)
 
 
 def note_capsizing(vessel: Vessel, sea: SeaState, dof: int) -> None:
@@ -244,6 +250,13 @@ def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> No
 def write_text(path: Path, text: str) -> None:
     """Make a file's folder, and write the file whole or not at all."""
     write_whole(path, text.encode())
+
+
+def one_run(logs: Sequence[Path], options: Mapping[str, object]) -> None:
+    """Refuse options that are for one log, where there are several."""
+    given = [name for name, value in options.items() if value is not None]
+    if len(logs) > 1 and given:
+        raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one log")
 
 
 def parse_list(text: str, option: str) -> tuple[str, ...]:

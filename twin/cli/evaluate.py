@@ -39,8 +39,8 @@ def evaluate_command(
     models: Annotated[
         list[str],
         typer.Argument(
-            help="A run's folder, a folder of runs, a policy (.npz), the name of a classical "
-            "controller, or module:Class of an agent of your own.",
+            help="A run's folder, a folder of runs, a policy (.npz), a model of Stable-Baselines3 "
+            "(.zip), the name of a classical controller, or module:Class of an agent of your own.",
             metavar="MODEL",
         ),
     ],

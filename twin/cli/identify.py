@@ -10,13 +10,15 @@ import typer
 
 from twin.channels import STATE
 from twin.cli.common import (
+    LogsArgument,
     MappingOption,
-    ModelOption,
     OptionError,
+    PredictorOption,
     ShipOption,
     console,
     explain,
-    note,
+    one_run,
+    print_notes,
     row_progress,
     write_json,
     write_text,
@@ -28,29 +30,14 @@ from twin.logs.tables import check_export
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
-from twin.predictors.registry import DEFAULT, PREDICTORS
+from twin.predictors.registry import DEFAULT
 from twin.predictors.ukf import ModelPredictor
 from twin.sim.recorded import twin_for_log
 
 
 def identify_command(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG...",
-            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog. "
-            "Several runs of one boat together.",
-        ),
-    ],
-    predictor: Annotated[
-        str | None,
-        typer.Option(
-            "--predictor",
-            "-p",
-            help=f"One of: {', '.join(PREDICTORS)}. Default: {DEFAULT}.",
-        ),
-    ] = None,
-    model: ModelOption = None,
+    logs: LogsArgument,
+    predictor: PredictorOption = DEFAULT,
     ship: ShipOption = None,
     mapping: MappingOption = None,
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
@@ -98,25 +85,20 @@ def identify_command(
         raise OptionError(
             f"--save-prior {save_prior}: is there already; choose another name, or --force"
         )
-    one = {"--save": save, "--out": out, "--json": json_file}
-    given = [name for name, value in one.items() if value is not None]
     logs = list(dict.fromkeys(logs))
-    if len(logs) > 1 and given:
-        raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
+    one_run(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1
-    twins = []
+    twins, said = [], set[str]()
     for path in logs:
         log, twin = twin_for_log(
             path,
             predictor,
             ship=ship,
             mapping=mapping,
-            model=model,
             until=until,
             own_prior=not together,
         )
-        for line in log.notes:
-            note(line)
+        print_notes(log.notes, said)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")
         if out is not None:
             check_export(out, twin.datum)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import typer
 
 from twin.cli.benchmark import benchmark_command
 from twin.cli.check import check_command
-from twin.cli.common import errors, report_user_errors
+from twin.cli.common import console, errors, report_user_errors
 from twin.cli.evaluate import evaluate_command
 from twin.cli.identify import identify_command
 from twin.cli.link import link_command
@@ -20,6 +21,7 @@ from twin.cli.sitl import sitl_command
 from twin.cli.train import train_command
 from twin.cli.vessel import vessel_check_command, vessel_new_command
 from twin.cli.view import view_command
+from usv_kernel import __version__
 
 __all__ = [
     "COMMANDS",
@@ -73,6 +75,24 @@ app = typer.Typer(
     "evaluate agents that steer, and view boat and twin in the browser.",
 )
 
+
+def print_version(asked: bool) -> None:
+    """Print the version, and end."""
+    if asked:
+        console.print(f"usv-twin {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=print_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Take the options that stand before a command."""
+
+
 vessel_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Check or begin a boat.")
 
 for group, commands in ((app, COMMANDS), (vessel_app, VESSEL_COMMANDS)):
@@ -89,26 +109,10 @@ def moved(arguments: Sequence[str]) -> str:
     return ""
 
 
-def expand_files(arguments: Sequence[str], option: str = "--log") -> list[str]:
-    """Let one option take several files: ``--log a b`` becomes ``--log a --log b``."""
-    expanded: list[str] = []
-    inside = False
-    for argument in arguments:
-        if argument.startswith("-"):
-            inside = argument == option
-            if not inside:
-                expanded.append(argument)
-        elif inside:
-            expanded += [option, argument]
-        else:
-            expanded.append(argument)
-    return expanded
-
-
 def main() -> None:
     """Run the command line."""
     arguments = sys.argv[1:]
     if text := moved(arguments):
         errors.print(f"error: {text}", style="red", highlight=False, soft_wrap=True)
         sys.exit(2)
-    app(args=expand_files(arguments), prog_name="usv-twin")
+    app(args=arguments, prog_name="usv-twin")

@@ -28,7 +28,7 @@ def mapping_command(
         str, typer.Option(help=f"Order of dates that leave it open: {' or '.join(ORDERS)}.")
     ] = "",
     zone: Annotated[
-        str, typer.Option(help="How far a clock of an ambiguous zone is ahead of UTC, as -05:00.")
+        str, typer.Option(help="How far the clock of dates is ahead of UTC, as -05:00.")
     ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
 ) -> None:

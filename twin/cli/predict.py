@@ -12,7 +12,6 @@ import typer
 from twin.cli.common import (
     LogArgument,
     MappingOption,
-    ModelOption,
     PredictorOption,
     ShipOption,
     console,
@@ -31,7 +30,6 @@ from twin.sim.recorded import twin_for_log
 def predict_command(
     log: LogArgument,
     predictor: PredictorOption = DEFAULT,
-    model: ModelOption = None,
     ship: ShipOption = None,
     mapping: MappingOption = None,
     at: Annotated[
@@ -63,7 +61,7 @@ def predict_command(
     """Run the twin over a log up to a time, and predict the motion after it."""
     dt = horizon / max(round(horizon / 0.1), 1)
     commands = None if plan in ("hold", "known") else read_plan(plan, horizon, dt)
-    run, twin = twin_for_log(log, predictor, ship=ship, model=model, mapping=mapping)
+    run, twin = twin_for_log(log, predictor, ship=ship, mapping=mapping)
     for line in run.notes:
         note(line)
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from twin.cli.common import (
+    FAULT_START_S,
     DofOption,
-    FaultStartOption,
     HsOption,
     OptionError,
     SeaOption,
@@ -55,7 +55,6 @@ def simulate_command(
     wind: WindOption = None,
     wind_from: WindFromOption = None,
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
-    fault_start: FaultStartOption = 85.0,
     sensors: SensorsOption = "typical",
     dof: DofOption = 3,
 ) -> None:
@@ -67,10 +66,10 @@ def simulate_command(
         raise OptionError(f"--out {out}: a log's name ends in {', '.join(LOG_SUFFIXES)}")
     boat = Vessel.load(vessel)
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
-    suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
+    suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, FAULT_START_S)
     for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
-            note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
+            note(f"the fault of {fault.kind} begins after the run; gps10@30 begins at 30 s")
     if (found := ineffective_fault(parsed, dof, suite.has_anemometer)) is not None:
         note(found)
     note_capsizing(boat, state, dof)

@@ -12,7 +12,6 @@ import typer
 from twin.cli.common import (
     CurrentOption,
     CurrentToOption,
-    FaultStartOption,
     HsOption,
     OptionError,
     SeaOption,
@@ -43,6 +42,9 @@ from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
+
+FAULT_START_S = 180.0
+"""Start of a fault that says none, as gps10 and not gps10@30: the autopilot sails by then."""
 
 
 def sitl_command(
@@ -83,7 +85,6 @@ def sitl_command(
             f"receiver, too: {FAULTS_HELP}."
         ),
     ] = "none",
-    fault_start: FaultStartOption = 180.0,
     sensors: SensorsOption = "typical",
     home: Annotated[str, typer.Option(help="Home of the autopilot, LAT,LON.")] = "59.9,10.7",
     heading: Annotated[float, typer.Option(help="Heading at the start, degrees.")] = 0.0,
@@ -120,7 +121,7 @@ def sitl_command(
         return
     state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
     state = state.replace(current=current, current_to=radians(current_to))
-    parsed, suite = parse_faults(faults, fault_start), suite_of(sensors)
+    parsed, suite = parse_faults(faults, FAULT_START_S), suite_of(sensors)
     for kind in unmirrored(parsed):
         note(f"the fault {kind} strikes the twin's sensors alone, not those of the autopilot")
     note_capsizing(boat, state, 6)

@@ -95,8 +95,6 @@ def print_health(lines: Sequence[str]) -> None:
 
 def print_check(check: LogCheck) -> None:
     """Print what was measured in a log, and the findings."""
-    for line in check.notes:
-        note(line)
     recording = check.recording
     if len(recording.t) > 1:
         span = recording.t[-1] - recording.t[0]
@@ -427,13 +425,19 @@ def print_trainings(trained: Sequence[tuple[Plan, Run]]) -> None:
 
 def print_episodes(found: Rows) -> None:
     """Print how evaluated agents did, a line for each agent, sea state and loss."""
-    means = ("success", "failed", "time,\ns", "return", "forecast\nerror, m")
-    heads = ("agent", "sea", "loss", "off path,\nm", *means)
+    means = (
+        "reached\nits goal",
+        "failed",
+        "time to\ngoal, s",
+        "return",
+        "5 s forecast,\nerror in m",
+    )
+    heads = ("agent", "sea", "loss", "off the\npath, m", *means)
     one = found[0]
     title = (
         f"task {one['task']}, {one['vessel']}, spread {one.get('vessel_spread', 0.0):g}: median "
-        "distance off the path [95 % interval], and means. Where an episode neither succeeds nor "
-        "fails, its time ran out"
+        "distance off the path [95 % interval], else means. Where an episode neither reached its "
+        "goal nor failed (50 m off, or capsized), its time ran out"
     )
     table = new_table(title, *heads, left=heads[:3], padding=0)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"

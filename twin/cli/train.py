@@ -42,13 +42,9 @@ def train_command(
     obs: Annotated[
         str | None,
         typer.Option(
-            help=f"What the agent sees, one of: {', '.join(OBSERVATIONS)}. Default: that of the "
-            "hyperparameters."
+            help=f"What the agent sees, one of: {', '.join(OBSERVATIONS)}; or entries of it, "
+            "comma-separated. Default: that of the hyperparameters."
         ),
-    ] = None,
-    entries: Annotated[
-        str | None,
-        typer.Option(help="Entries of the observation that it sees instead, comma-separated."),
     ] = None,
     steps: Annotated[
         int | None,
@@ -102,9 +98,7 @@ def train_command(
     values = hyperparameters(algo, hyper)
     steps = steps or values["n_timesteps"]
     predictor_class(twin)
-    if obs is not None and entries is not None:
-        raise OptionError("--obs and --entries: give one of them")
-    seen = parse_list(entries, "--entries") if entries is not None else obs
+    seen = parse_list(obs, "--obs") if obs is not None and "," in obs else obs
     first = Plan(
         algo,
         seen or values.get("observation", "twin"),

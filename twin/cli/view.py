@@ -11,8 +11,8 @@ import typer
 
 from twin.agents.policy import AgentError
 from twin.cli.common import (
+    FAULT_START_S,
     DofOption,
-    FaultStartOption,
     HsOption,
     MappingOption,
     OptionError,
@@ -67,9 +67,9 @@ def view_command(
         str | None,
         typer.Option(
             metavar="AGENT",
-            help="Let it sail its task, as usv-twin evaluate does: a policy (.npz), a run's "
-            "folder, a controller, or module:Class. Degrees of freedom and time of an episode are "
-            "those of its training.",
+            help="Let it sail its task, as usv-twin evaluate does: a policy (.npz), a model of "
+            "Stable-Baselines3 (.zip), a run's folder, a controller, or module:Class. Degrees of "
+            "freedom and time of an episode are those of its training.",
         ),
     ] = None,
     reply: Annotated[
@@ -100,7 +100,6 @@ def view_command(
     dof: DofOption = 6,
     sensors: SensorsOption = "typical",
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
-    fault_start: FaultStartOption = 85.0,
     shaft_max: ShaftMaxOption = None,
     steer_max: SteerMaxOption = None,
     autopilot: Annotated[
@@ -164,7 +163,7 @@ def view_command(
         session = FeedSession(feed, twin, shown, out, answer)
     elif policy is not None:
         options = {"sea": changing_sea(SeaState.named(sea), hs, wind, wind_from)}
-        losses = parse_faults(faults, fault_start)
+        losses = parse_faults(faults, FAULT_START_S)
         own = {"seed": seed, "predictor": predictor, "faults": losses, "suite": sensors}
         session = _policy_session(policy, out, vessel, **options, **own)
     else:
@@ -176,7 +175,7 @@ def view_command(
             sensors=sensors,
             seed=seed,
             dof=dof,
-            faults=parse_faults(faults, fault_start),
+            faults=parse_faults(faults, FAULT_START_S),
         )
         session = SimulatedSession(setup, out, autopilot)
         for line in session.notes:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import tomllib
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +23,7 @@ __all__ = [
     "SensorFigures",
     "estimate_instruments",
     "particulars_text",
+    "renewed",
     "sensor_figures",
     "typical_boat",
 ]
@@ -38,6 +41,9 @@ KNOWN_S = 0.05
 
 NOISY = {"doppler_sd": "velocity", "compass_sd": "compass", "gyro_sd": "gyro"}
 """Sensors whose noise from sample to sample an instrument of the particulars is."""
+
+HEAD, MARK = "# By usv-twin check from", " # log: "
+"""The first line of a particulars file that was written from a log, and what marks estimates."""
 
 UNITS = {
     "m": ("m", 1.0),
@@ -186,6 +192,52 @@ def particulars_text(
         if particulars is None and key in ("length", "beam", "draft", "mass"):
             lines.append(f"# {key} = ?  # fill in")
         else:
-            lines.append(f"{line}  # {reasons[key]}" if key in reasons else line)
-    head = f"# Instruments estimated from {recording.name} by usv-twin check;"
-    return "\n".join([head, "# those without a comment are not.", *lines]) + "\n"
+            lines.append(f"{line} {MARK}{reasons[key]}" if key in reasons else line)
+    head = f"{HEAD} {recording.name}. Lines with{MARK}are written anew by --write, others stay."
+    return "\n".join([head, *lines]) + "\n"
+
+
+def renewed(text: str, old: str) -> tuple[str, list[str]]:
+    """Return a particulars file with what a user wrote by hand in the file that it replaces.
+
+    That is each line of the old file without :data:`MARK`. Instruments that the log shows are kept
+    only where they were changed in a file of ``usv-twin check``.
+
+    Parameters
+    ----------
+    text, old : str
+        The new file, of :func:`particulars_text`, and the old one.
+
+    Returns
+    -------
+    str, list of str
+        The file, and the names of the keys that were kept.
+    """
+    tables, kept = _lines_by_key(text), list[str]()
+    given, usual = tomllib.loads(old).get("instruments", {}), Instruments()
+    for table, lines in _lines_by_key(old).items():
+        for key, line in lines.items():
+            new = tables.setdefault(table, {}).get(key, "")
+            same = line.partition("#")[0].strip() == new.partition("#")[0].strip()
+            by_hand = old.startswith(HEAD) and given.get(key) != getattr(usual, key, None)
+            of_log = table == "instruments" and MARK in new and not by_hand
+            if not (of_log or MARK in line or line.startswith("#")):
+                tables[table][key] = line
+                kept += [] if same else [key]
+    parts = ["\n".join([f"[{table}]", *lines.values()]) for table, lines in tables.items()]
+    return text[: text.index("\n[") + 1] + "\n\n".join(parts) + "\n", kept
+
+
+def _lines_by_key(text: str) -> dict[str, dict[str, str]]:
+    """Return the lines of a TOML file by table and key; those that begin no entry go with it."""
+    tables: dict[str, dict[str, str]] = {}
+    table, key = "", ""
+    for line in text.splitlines():
+        if head := re.match(r"\s*\[([\w.]+)\]\s*(#.*)?$", line):
+            table, key = head[1], ""
+        elif entry := re.match(r"\s*(?:# )?(\w+)\s*=", line):
+            key = entry[1]
+            tables.setdefault(table, {})[key] = line
+        elif key and line.strip() and not line.startswith("#"):
+            tables[table][key] += f"\n{line}"
+    return tables

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT
+from twin.filters.navigation_state import ACCEL_LIMIT, TURN_LIMIT
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.checks import GAP_STEPS, is_gap
 from twin.logs.clock import SORT, set_back, stood_in_gap
-from twin.logs.columns import SHARE
+from twin.logs.columns import SHARE, UNITS
 from twin.logs.jumps import find_jumps
 from twin.logs.recording import Recording, wild_stamps
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
@@ -92,6 +93,12 @@ HUGE = 1e100
 
 SAILS_M = 20.0
 """A boat that goes farther sails."""
+
+ABSURD = 4.0
+"""A sample so many times as large as the others is none, however the boat moved."""
+
+ABSURD_FROM = {"velocity": 2.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
+"""Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2."""
 
 LARGE_ANGLE_RAD, SMALL_ANGLE_RAD = 1.3, 0.05
 """Few rudders and drives turn farther than the first; below the second they do not move."""
@@ -391,6 +398,43 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
             )
             remedy = "leave these cells empty; here they are left out, and the rest is checked"
             found.append(Finding(ERROR, "mark", what, remedy, names[0], float(value)))
+    return _without_absurd(dataclasses.replace(recording, z=z), found)
+
+
+def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recording, list[Finding]]:
+    """Return a recording without single samples that are absurdly large, and findings on them.
+
+    A velocity is compared with that of the fixes, too, for a boat may rest for nearly all of a log.
+    """
+    z, motion = recording.z.copy(), speed_of(recording)
+    by_fixes = np.zeros(len(z))
+    if motion is not None:
+        by_fixes = np.interp(recording.t, motion[0], np.hypot(*motion[1].T))
+    for sensor, least in ABSURD_FROM.items():
+        columns = [MEASUREMENTS.index(name) for name in SENSORS[sensor]]
+        size = np.sqrt((z[:, columns] ** 2).sum(axis=1))
+        count = int(np.isfinite(size).sum())
+        if count < MANY:
+            continue
+        usual = float(np.sort(size)[count - 1 - max(3, int(SINGLE * count))])
+        limit = np.full(len(z), max(ABSURD * usual, least))
+        if sensor == "velocity":
+            limit = np.maximum(limit, ABSURD * by_fixes)
+        rows = np.flatnonzero(size > limit)
+        if not len(rows):
+            continue
+        z[rows[:, None], columns] = np.nan
+        unit = SENSORS[sensor][0].rpartition("_")[2].replace("ps", "/s")
+        most = rows[np.argmax(size[rows])]
+        knots = f" ({size[most] / UNITS['mps']['kn']:.5g} kn)" if sensor == "velocity" else ""
+        what = (
+            f"{recording.called(*SENSORS[sensor])}: {len(rows)} of {count} samples are absurd, up "
+            f"to {size[most]:.4g} {unit}{knots} (at t = {recording.t[most]:.1f} s) where the "
+            f"others reach {usual:.2g} {unit}"
+        )
+        remedy = "leave these cells empty; here they are left out, and the rest is checked"
+        span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
+        found.append(Finding(WARNING, "mark", what, remedy, sensor, float(size[most]), **span))
     return (dataclasses.replace(recording, z=z), found) if found else (recording, [])
 
 

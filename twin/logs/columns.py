@@ -20,6 +20,7 @@ __all__ = [
     "SINGLE",
     "UNITS",
     "Entry",
+    "notes_of",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -81,3 +82,9 @@ class Entry:
         with np.errstate(over="ignore", invalid="ignore"):  # refused later, with its place
             made = [*values] * len(self.names) if self.convert is None else self.convert(values)
         return dict(zip(self.names, made, strict=True))
+
+
+def notes_of(entries: Sequence[Entry]) -> list[str]:
+    """Return what the user should know of how columns were made, in one note."""
+    told = [entry.note for entry in entries if entry.note]
+    return ["; ".join(told)] if told else []

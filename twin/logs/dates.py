@@ -366,9 +366,10 @@ def _days(day: str) -> list[tuple[str, str]]:
         month = "%b" if len(named[4]) == 3 else "%B"
         week = "%a, " if named[1] else ""
         return [(f"{week}%d{named[3]}{month}{named[3]}{year}", "")]
-    if re.match(r"^\d{4}([/.\-])\d{1,2}\1\d{1,2}$", day):
-        mark = day[4]
-        return [(f"%Y{mark}%m{mark}%d", "")]
+    if (match := re.match(r"^\d{4}([/.\-]?)\d{1,2}\1\d{1,2}$", day)) and (
+        match[1] or len(day) == 8
+    ):
+        return [(f"%Y{match[1]}%m{match[1]}%d", "")]
     return []
 
 

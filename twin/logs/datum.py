@@ -18,6 +18,8 @@ __all__ = [
     "FIXES",
     "Datum",
     "Plane",
+    "from_minutes",
+    "in_minutes",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +36,21 @@ the way to the middle of them all: loggers have maps of their own, which are les
 
 _LAST_YEAR = 253402300799.0
 """End of the year 9999, s since 1970."""
+
+
+def in_minutes(latitude: Array, longitude: Array) -> bool:
+    """Return whether numbers can be degrees and minutes in one, ddmm.mm, as NMEA has them."""
+    sizes = [np.abs(each[np.isfinite(each)]) for each in (latitude, longitude)]
+    return all(
+        bool((size <= most).all() and (size % 100.0 < 60.0).all())
+        for size, most in zip(sizes, (9000.0, 18000.0), strict=True)
+    )
+
+
+def from_minutes(values: Array) -> Array:
+    """Return degrees of numbers that are degrees and minutes in one, ddmm.mm."""
+    degrees = np.trunc(0.01 * values)
+    return np.asarray(degrees + (values - 100.0 * degrees) / 60.0)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import dataclasses
 import difflib
 import gzip
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +53,7 @@ from usv_kernel.files import replacing
 __all__ = [
     "LOG_SUFFIXES",
     "Log",
+    "merged_notes",
     "recorded_runs",
 ]
 
@@ -141,6 +142,11 @@ class Log:
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.t)
+
+    def __repr__(self) -> str:
+        """Return name, rows and length."""
+        span = float(self.t[-1] - self.t[0]) if len(self) else 0.0
+        return f"Log({self.name}, {len(self)} rows, {span:.1f} s)"
 
     def __iter__(self) -> Iterator[tuple[float, Array, Array]]:
         """Yield ``(t, z, cmd)`` of each row, as a twin would meet them on board."""
@@ -401,11 +407,9 @@ def _chosen(
     if not any(name in made for name in SINGLE["delta_rad"]):
         remedy += "; for fixed thrusters write delta_rad = 0.0 in its [columns]"
     lacking = _lacking(source, made, f"{remedy} {there}")
-    if layout.entries:
-        unused = f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"
-        return entries, [unused] if left else [], layout, lacking
-    notes = [f"{given or '(no name)'}: unknown column, left out" for given in left]
-    return entries, notes, layout, lacking
+    what = f"not in {layout.source}" if layout.entries else "unknown, left out"
+    unused = f"{len(left)} column(s) {what}: {', '.join(given or '(no name)' for given in left)}"
+    return entries, [unused] if left else [], layout, lacking
 
 
 def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
@@ -500,7 +504,17 @@ def assemble(table: Table) -> Log:
     if plane is not None or table.epoch is not None or datum is not None:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
-    return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth, commands_end)
+    said = tuple(merged_notes(notes))
+    return Log(t, z, cmd, truth, table.name, said, datum, motion_truth, commands_end)
+
+
+def merged_notes(notes: Sequence[str]) -> list[str]:
+    """Return notes; those that say the same of several columns are one."""
+    columns: dict[str, dict[str, None]] = {}
+    for note in notes:
+        name, _, what = note.rpartition(": ") if note.count(": ") == 1 else ("", "", note)
+        columns.setdefault(what, {})[name] = None
+    return [", ".join(names) + ": " * any(names) + what for what, names in columns.items()]
 
 
 def _merge_equal_times(table: Table) -> None:

@@ -17,6 +17,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     longitude = "lon"
     datum = [38.86580, 121.53438]                   # left out: the first fix
     scale = 1e-7                                    # of latitude and longitude, to degrees
+    unit = "ddmm"                                   # degrees and minutes in one number, ddmm.mm
 
     [datum]                                         # positions in metres: where that was
     latitude = "lat"
@@ -73,7 +74,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
-from twin.logs.datum import FIXES, Datum, Plane
+from twin.logs.datum import FIXES, Datum, Plane, from_minutes, in_minutes
 from twin.logs.errors import LogError
 from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
@@ -274,8 +275,9 @@ class _Parser:
             )
         factors = UNITS[unit]
         asked = table.get("unit", unit)
-        if asked not in factors and asked != "datetime":
-            raise self.fail(where, f"unknown unit {asked!r}; known here: {', '.join(factors)}")
+        units = [*factors, "datetime"] if unit == "s" else [*factors]
+        if asked not in units:
+            raise self.fail(where, f"unknown unit {asked!r}; known here: {', '.join(units)}")
         scale = self.number(f"{where} scale", table.get("scale", 1.0))
         offset = self.number(f"{where} offset", table.get("offset", 0.0))
         return table.get("topic", ""), source, factors.get(asked, 1.0) * scale, offset, table
@@ -299,8 +301,6 @@ class _Parser:
         if name == TIME and topic:
             raise self.fail(name, "a message has its own time; choose it with stamp = ...")
         clock = table.get("unit") == "datetime"
-        if clock and name != TIME:
-            raise self.fail(name, "only t_s may be a datetime")
         form = self.text(name, table, "format", "")
         if form and not clock:
             raise self.fail(name, 'format is for unit = "datetime"')
@@ -341,16 +341,19 @@ class _Parser:
         return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3]))
 
     def position(self, given: Any) -> Entry:
-        keys = ("topic", "latitude", "longitude", "scale", "datum")
+        keys = ("topic", "latitude", "longitude", "unit", "scale", "datum")
         table = self.known("[position]", given, keys)
         scale = self.number("[position] scale", table.get("scale", 1.0))
+        if (unit := table.get("unit", "deg")) not in ("deg", "ddmm"):
+            raise self.fail("[position] unit", f'{unit!r} must be "deg" or "ddmm"')
         datum = table.get("datum")
         if datum is not None:
             if not isinstance(datum, list) or len(datum) != 2:
                 raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
             datum = tuple(self.number("[position] datum", value) for value in datum)
             Datum(latitude=datum[0], longitude=datum[1])  # refuses what is no place on Earth
-        position = _Position(None if datum is None else Plane(*datum), self.source, scale)
+        plane = None if datum is None else Plane(*datum)
+        position = _Position(plane, self.source, scale, unit == "ddmm")
         names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
         topic = self.text("[position]", table, "topic", "")
         return Entry(
@@ -474,9 +477,11 @@ class _Position:
     datum: Plane | None
     source: str
     scale: float = 1.0  # to degrees
+    minutes: bool = False  # degrees and minutes in one number
 
     def _degrees(self, values: Sequence[Array]) -> list[Array]:
-        return [self.scale * values[0], self.scale * values[1], *values[2:]]
+        scaled = [self.scale * value for value in values[:2]]
+        return [*map(from_minutes, scaled), *values[2:]] if self.minutes else [*scaled, *values[2:]]
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
         values = self._degrees(values)
@@ -514,17 +519,11 @@ class _Position:
 
 def _beyond(values: Sequence[Array]) -> str:
     """Return the complaint about latitudes and longitudes that are no degrees."""
-    latitude, longitude = (np.abs(value[np.isfinite(value)]) for value in values[:2])
-    most = f"latitudes of up to {latitude.max():.7g} are no degrees"
-    minutes = [
-        each.max() < top and (each % 100.0 < 60.0).all()
-        for each, top in ((latitude, 9001.0), (longitude, 18001.0))
-        if len(each)
-    ]
-    if all(minutes):
+    most = f"latitudes of up to {np.nanmax(np.abs(values[0])):.7g} are no degrees"
+    if in_minutes(*values[:2]):
         return (
-            f"{most}: NMEA has degrees and minutes in one number, ddmm.mm; write whole hundreds "
-            "plus the rest over 60 to the file, south and west below 0"
+            f"{most}: NMEA has degrees and minutes in one number, ddmm.mm; "
+            'state unit = "ddmm" in [position], south and west below 0'
         )
     return f"{most}; write degrees to the file, or give their scale"
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import TIME
-from twin.logs.columns import Array, Entry
+from twin.logs.columns import Array, Entry, notes_of
 from twin.logs.dates import Clock, Midnight, past_midnight
 from twin.logs.datum import Plane
 from twin.logs.errors import LogError
@@ -206,7 +206,7 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         made = entry.columns(values)
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
-    notes += [entry.note for entry in entries if entry.note]
+    notes += notes_of(entries)
 
     def line(row: int) -> str:
         return f"{file.unit} {int(place[row])}"

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, TIME
-from twin.logs.columns import Array
+from twin.logs.columns import Array, notes_of
 from twin.logs.errors import LogError
 from twin.logs.files import cannot_be_read, shorten
 from twin.logs.mapping import Layout, mapping_path
@@ -246,7 +246,7 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
     before = len(data[TIME])
     data = thinned(data[TIME], data, layout)
     notes += said(layout, before, len(data[TIME]))
-    notes += [entry.note for entry in layout.entries if entry.note]
+    notes += notes_of(layout.entries)
     t = data[TIME]
     return Table(
         str(path),

@@ -145,6 +145,11 @@ class Prediction:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, self.mean + side * self.sd)
 
+    def __repr__(self) -> str:
+        """Return from when, and how far it reaches; ``table()`` has the numbers."""
+        ahead = float(self.t[-1] - self.t0) if len(self.t) else 0.0
+        return f"Prediction(from t = {self.t0:.2f} s, {ahead:g} s ahead in {len(self.t)} steps)"
+
     @property
     def sd(self) -> Array:
         """Standard deviations, shape (K, 6)."""
@@ -234,8 +239,6 @@ class Predictor(ABC):
 
     trains = False
     """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
-    models = False
-    """Whether the class takes ``model``, one of ``twin.model.structure.MODELS``."""
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters in ``Estimate.params`` ..."""
     parameter_units: tuple[str, ...] = ()

@@ -109,6 +109,11 @@ class HistoryPredictor(Predictor):
         self._kept_paths.clear()
 
     @property
+    def rows(self) -> Array:
+        """History every :data:`GRID` s that is kept, as :meth:`forecast` gets it, (M, 10 + n)."""
+        return np.array(self._rows).reshape(-1, len(self._last))
+
+    @property
     def look_back(self) -> float:
         """Seconds of history before a row that its forecast needs; here all of them.
 

@@ -99,4 +99,7 @@ def prior_note(predictor: Predictor, name: str) -> str:
     structure = predictor.ukf.settings.structure
     if takes(structure, predictor.particulars):
         return ""
-    return f"{unused}has the model {structure.name!r}, and starts without it: --model {prior.model}"
+    return (
+        f"{unused}has the model {structure.name!r}, and starts without it; with the option "
+        f"model={prior.model} behind a name, as in ukf:model={prior.model}, it is used"
+    )

@@ -333,8 +333,6 @@ class ModelPredictor(Predictor):
         State and parameters.
     """
 
-    models = True
-
     def __init__(
         self, particulars: Particulars, settings: FilterSettings, *, seed: int = 0
     ) -> None:

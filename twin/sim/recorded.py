@@ -6,7 +6,6 @@ import dataclasses
 import math
 import shlex
 from pathlib import Path
-from typing import Any
 
 from twin.digital_twin import Twin, TwinError
 from twin.logs.autopilot.outputs import particulars_of_parameters
@@ -97,7 +96,6 @@ def twin_for_log(
     *,
     ship: str | None = None,
     mapping: str | Path | None = None,
-    model: str | None = None,
     until: float | None = None,
     own_prior: bool = True,
 ) -> tuple[Log, Twin]:
@@ -107,8 +105,8 @@ def twin_for_log(
     ----------
     path, ship, mapping
         As for :func:`read_run`.
-    predictor, model : str, optional
-        Names of the predictor and of its model's structure.
+    predictor : str, optional
+        Its name, with options behind a colon.
     until : float, optional
         Rows after this time are left out, s.
     own_prior : bool
@@ -125,8 +123,7 @@ def twin_for_log(
     boat = particulars_for_log(path, ship, mapping)
     check_simulator(name, log, boat)
     boat = boat if own_prior else dataclasses.replace(boat, prior=None)
-    options: dict[str, Any] = {} if model is None else {"model": model}
-    twin = Twin(boat, name, **options)
+    twin = Twin(boat, name)
     unused = prior_note(twin.predictor, str(twin.name))
     log = dataclasses.replace(
         log.without_truth(), notes=(*log.notes, *([unused] if unused else ()))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.envs.episodes import Episodes, Observer
-from usv_gym.envs.scene import SDS, Scene, Trail, TwinOverlay, drives, ellipses, outline, rotated
+from usv_gym.envs.scene import SDS, Scene, Trail, TwinOverlay, drives, ellipses, outlines, rotated
 from usv_gym.envs.scoring import NOTHING
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
@@ -288,14 +288,16 @@ class Painter:
             draw.lines(canvas, BLUE, False, at(scene.track), thin)
         for point in at(scene.fixes):
             draw.circle(canvas, PURPLE, point, round(1.3 * thin))
-        hull, psi, place = outline(scene.vessel), float(scene.state[fr.PSI]), scene.state[:2]
+        shapes, psi, place = outlines(scene.vessel), float(scene.state[fr.PSI]), scene.state[:2]
         for line in drives(scene.vessel, scene.state):
             draw.line(canvas, INK, *at(rotated(line, psi, place)), 2 * thin)
-        draw.polygon(canvas, HULL, at(rotated(hull, psi, place)))
+        for shape in shapes:
+            draw.polygon(canvas, HULL, at(rotated(shape, psi, place)))
         if overlay:
             draw.lines(canvas, RED, False, at(places), thin)
-            ghost = rotated(hull, float(overlay.state[2]), overlay.state[:2])
-            draw.polygon(canvas, RED, at(ghost), round(1.5 * thin))
+            for shape in shapes:
+                ghost = rotated(shape, float(overlay.state[2]), overlay.state[:2])
+                draw.polygon(canvas, RED, at(ghost), round(1.5 * thin))
 
     def _write(self, lines: list[tuple[str, Any]], ground: Any = WHITE, **corner: Any) -> Any:
         """Write lines, a text and its colour each, on a ground with this corner; return its box."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.physics import frames as fr
+from usv_gym.vessel.form import Form
 from usv_gym.vessel.vessel import Vessel
 
-__all__ = ["SDS", "Scene", "Trail", "TwinOverlay", "drives", "ellipses", "outline"]
+__all__ = ["SDS", "Scene", "Trail", "TwinOverlay", "drives", "ellipses", "outlines"]
 
 Array = NDArray[np.float64]
 
@@ -136,11 +137,20 @@ def rotated(points: Array, psi: float, place: Array) -> Array:
     return place + points @ np.array([[c, s], [-s, c]])
 
 
-def outline(vessel: Vessel) -> Array:
-    """Return the hull from above with a pointed bow, shape (11, 2), m forward and to starboard."""
+def outlines(vessel: Vessel) -> list[Array]:
+    """Return the shapes from above, (corners, 2), m forward and to starboard: hulls, and a deck.
+
+    A hull has a pointed bow; two hulls are joined by a deck.
+    """
     half = np.array([[0.5, 0.0], [0.42, 0.2], [0.3, 0.36], [0.12, 0.47], [-0.1, 0.5], [-0.5, 0.44]])
-    whole = np.vstack([half, half[:0:-1] * [1.0, -1.0]])
-    return whole * [vessel.values["length_overall"], vessel.values["beam"]]
+    hull = np.vstack([half, half[:0:-1] * [1.0, -1.0]])
+    form = Form.of(vessel)
+    if not form.pontoon:
+        return [hull * [form.overall, form.beam]]
+    aside = np.array([0.0, 0.5 * (form.beam - form.pontoon)])
+    pontoon, square = hull * [form.overall, form.pontoon], [[1, 1], [-1, 1], [-1, -1], [1, -1]]
+    deck = np.array(square) * [0.28 * form.overall, aside[1]]
+    return [pontoon - aside, pontoon + aside, deck]
 
 
 def drives(vessel: Vessel, state: Array) -> Array:

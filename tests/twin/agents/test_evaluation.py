@@ -53,6 +53,34 @@ def test_episode_i_is_that_of_a_single_environment_with_its_seed():
         assert not row["failed"] and not row["success"]
 
 
+@pytest.mark.parametrize(("algo", "observation"), [("PPO", "twin"), ("SAC", "compact")])
+def test_a_model_of_stable_baselines3_sails_as_it_was_saved(tmp_path, algo, observation):
+    sb3 = pytest.importorskip("stable_baselines3")
+    from usv_gym.envs.sb3 import SB3VecEnv
+
+    options = {"observation": observation, "frame_skip": 10}
+    model = getattr(sb3, algo)("MlpPolicy", SB3VecEnv(1, **options), device="cpu", seed=3)
+    model.save(tmp_path / "model")
+    ((label, agent),) = evaluation.agents_named(str(tmp_path / "model.zip"))
+    assert label.endswith("model.zip") and agent.observation == observation
+    envs = make_envs(2, observation=observation)
+    obs = envs.reset(seed=[5, 6])[0]
+    agent.begin(envs)
+    np.testing.assert_allclose(agent.act(obs), model.predict(obs, deterministic=True)[0])
+    (row,) = evaluate(agent, seeds=[5], max_episode_steps=3)
+    assert row["agent"] == "model"
+
+
+def test_a_model_for_another_observation_says_what_to_do(tmp_path):
+    sb3 = pytest.importorskip("stable_baselines3")
+    sb3.A2C("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(tmp_path / "pendulum")
+    with pytest.raises(AgentError, match="module:Class"):
+        evaluation.agents_named(str(tmp_path / "pendulum.zip"))
+    (tmp_path / "no.zip").write_bytes(b"PK")
+    with pytest.raises(AgentError, match="is no model of Stable-Baselines3"):
+        evaluation.agents_named(str(tmp_path / "no.zip"))
+
+
 def test_time_after_a_failure_counts_as_far_off():
     # a circle leaves the path behind by 50 m before long
     rows = evaluate(Fixed(1.0, 0.0), seeds=(1, 2, 3, 4), max_episode_steps=240, sea="0")

@@ -220,7 +220,7 @@ def test_the_commands_train_and_evaluate(tmp_path, monkeypatch):
     words = ("train", "--steps", 64, "--hyper", "tiny.toml", *calm)
     more = ("--reward-weight", "effort=2", "--vessel-spread", "0.1", "--num-threads", 2)
     more += ("--wind-from", "any", "--current", "0.3", "--seeds", "0-1")
-    seen = ("--entries", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
+    seen = ("--obs", "twin_cross_track,twin_sin_course_error,twin_yaw_rate")
     said = " ".join(command(*words, *more, *seen).output.split())
     assert "ppo-3-entries, 64 decisions" in said
     policy = Policy.load("runs/ppo-3-entries-1")
@@ -236,8 +236,7 @@ def test_the_commands_train_and_evaluate(tmp_path, monkeypatch):
         (("--reward-weight", "effort"), "cross_track=3"),
         (("--reward-weight", "joy=2"), "'joy'"),
         (("--current", "strong"), "--current strong"),
-        (("--obs", "raw", *seen), "--obs and --entries"),
-        (("--entries", "twin_crosstrack"), "(did you mean 'twin_cross_track'?)"),
+        (("--obs", "twin_crosstrack,"), "(did you mean 'twin_cross_track'?)"),
         (("--algo", "dqn"), "'dqn'"),
         (("--task", "swim"), "'swim'"),
         ((*seen, "--sea", "2", "--out", "runs"), "sea = 0"),

@@ -150,3 +150,49 @@ def test_one_predictor_is_never_the_best():
     given["recorded"] = []
     assert "textbf" not in latex_text(given)
     assert "true" not in csv_text(given)
+
+
+def judged():
+    """Return the results with a verdict, and with comparisons of simulated and recorded runs."""
+    given = results()
+    given["verdict"] = [
+        {"predictor": name, "loss": loss, "runs": 6, "ratio": None if loss == "any" else mae}
+        | {"position_m": 2.0 * mae, "position_m_low": mae, "position_m_high": 3.0 * mae}
+        | {"heading_deg": mae, "heading_deg_low": None, "heading_deg_high": None}
+        | {"mae": mae, "mse": mae}
+        for name, mae in MAE.items()
+        for loss in ("none", "any", "all")
+    ]
+    pair = {**CELL, "plan": "known", "predictor": "my_own:Mine", "against": "ukf", "seeds": 6}
+    pair |= {"change_percent": -12.5, "low": -20.0, "high": -3.0, "median_percent": -9.0, "wins": 5}
+    given["paired"] = [pair]
+    change = {"against": "ukf", "change_percent": 7.5, "change_low": 1.0, "change_high": 9.0}
+    given["recorded"][2] |= {**change, "wins": 1}
+    return given
+
+
+def test_verdict_and_paired_tests_are_in_both_tables():
+    found = {
+        (row["scenario"], row["case"], row["metric"], row["predictor"]): row
+        for row in csv.DictReader(io.StringIO(csv_text(judged())))
+    }
+    best = found["all", "none", "verdict_position_m", "my_own:Mine"]
+    assert (float(best["value"]), best["unit"], best["runs"]) == (0.2792, "m", "6")
+    change = found["turn", "gps10", "mae_change_against_ukf", "my_own:Mine"]
+    assert [float(change[key]) for key in ("value", "low", "high", "median")] == [
+        -12.5,
+        -20,
+        -3,
+        -9,
+    ]
+    won = found["turn", "gps10", "mae_won_against_ukf", "my_own:Mine"]
+    assert float(won["value"]) == pytest.approx(100.0 * 5 / 6) and won["unit"] == "%"
+    recorded = found["lake", "none", "rmse_psi_10s_change_against_ukf", "my_own:Mine"]
+    assert (float(recorded["value"]), float(recorded["high"])) == (7.5, 9.0)
+    text = latex_text(judged())
+    tables = text.split(r"\begin{table}")[1:]
+    assert r"predictor & position (m) & position (m), loss & heading" in tables[0]
+    assert r"\textbf{0.279}" in tables[0] and "All scenarios" in tables[0]
+    assert any(r"my\_own:Mine & -12.5 & 83.3 \\" in table for table in tables)
+    assert any("lake" in table and r"my\_own:Mine & 7.50 & 50.0 \\" in table for table in tables)
+    assert text.count("{") == text.count("}")

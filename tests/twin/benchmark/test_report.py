@@ -272,6 +272,29 @@ def test_recorded_run_without_truth():
     np.testing.assert_allclose(seen.v[5], 0.2, atol=1e-9)
 
 
+def test_pictures_that_are_left_out_are_named(tmp_path):
+    here = {"plan": "known", "predictor": "ukf", "metric": "mae", "value": 1.0}
+    cases = [{**here, "scenario": "turn", "case": f"gps{k}", "fault": "none"} for k in range(9)]
+    channels = [
+        {**row, "channel": "psi", "horizon_s": h, "mae": h} for row in cases for h in (1.0, 10.0)
+    ]
+    found = results(channels=channels) | {"summary": cases}
+    files = write_report(tmp_path, found, [])
+    assert len([file for file in files if file.suffix == ".svg"]) == 8
+    assert "of the first 8 of 9 runs" in page(files)
+    files = write_report(tmp_path, found, None)
+    assert len(files) == 1 and "<img" not in page(files)
+    assert len(list((tmp_path / "pictures").iterdir())) == 8  # of an earlier report
+
+
+def test_a_report_on_own_logs_says_nothing_of_simulated_boats(tmp_path):
+    settings = {"scenarios": (), "seeds": (0,), "vessel": "usv75", "hs": 0.5, "logs": ("a.csv",)}
+    own = RunFigure("a", "none", None, sail(truth=False), [], {"ukf": figure()})
+    text = page(write_report(tmp_path, results() | {"settings": settings}, [own]))
+    assert "a.csv" in text and "usv75" not in text and "seed 0" not in text
+    assert (tmp_path / "pictures" / "a_none_track.svg").exists()
+
+
 def test_a_predictor_may_lack_what_others_have(tmp_path):
     predictors = {"lstm": [], "ukf": figure(origins=(8.0,))}
     files = write_report(tmp_path, results(), [run(sail(), predictors)])

@@ -119,13 +119,30 @@ def test_continuing_gives_the_same(small, tmp_path, monkeypatch):
     assert not {unit for unit, _ in first} & set(ran)
 
 
+def test_plans_and_other_settings_overwrite_nothing_of_each_other(tmp_path, monkeypatch):
+    both = dataclasses.replace(SMALL, faults=("none",), seeds=(0,), predictors=("persistence",))
+    known = dataclasses.replace(both, plans=("known",))
+    (unit,) = units(both)
+    whole = run_all(both, tmp_path)
+    assert set(bench.finished(known, unit, tmp_path)["plans"]) == {"known"}
+    calm = dataclasses.replace(known, hs=0.0, predictors=("persistence",))
+    run_all(calm, tmp_path)
+    assert bench.finished(both, unit, tmp_path) is not None
+    # one plan after the other makes both
+    for folder, plans in (("a", ("hold",)), ("a", ("known",))):
+        run_all(dataclasses.replace(both, plans=plans), tmp_path / folder)
+    monkeypatch.delattr(bench, "run_unit")
+    assert run_all(both, tmp_path / "a") == whole
+    assert bench.run_figures(both, {unit: bench.finished(both, unit, tmp_path / "a")})
+
+
 def test_a_result_of_other_settings_is_not_reused(small):
     folder, _ = small
     unit = units(SMALL)[0]
     assert bench.finished(SMALL, unit, folder) is not None
     other = dataclasses.replace(SMALL, hs=0.6)
     assert bench.finished(other, unit, folder) is None
-    bench.result_file(folder, unit).write_text("{broken")
+    bench.result_file(SMALL, unit, folder).write_text("{broken")
     assert bench.finished(SMALL, unit, folder) is None
 
 
@@ -143,7 +160,7 @@ def test_a_result_of_other_particulars_is_not_reused(tmp_path):
 
 def test_no_two_runs_share_a_file(tmp_path):
     names = ("go od", "go-od", "go%20od", "go_od")
-    files = {bench.result_file(tmp_path, Unit(n, "none", 0, "ukf", n)) for n in names}
+    files = {bench.result_file(SMALL, Unit(n, "none", 0, "ukf", n), tmp_path) for n in names}
     assert len(files) == len(names)
 
 
@@ -276,6 +293,13 @@ def test_coverage_is_counted_by_channel_and_horizon(small):
     ]
     single = [r["coverage90"] for r in here if r["channel"] != "displacement"]
     assert np.mean(single) == pytest.approx(np.mean(pooled))
+
+
+def test_predictors_of_a_module_are_called_by_their_class():
+    names = ["ukf", "dsw-ukf:window=off", "ewar:EWAR", "ewar:EWAR:gain=2", "a:Own", "b:Own"]
+    assert list(bench.shown_names(names).values()) == [
+        *("ukf", "dsw-ukf:window=off", "EWAR", "EWAR:gain=2", "a:Own", "b:Own")
+    ]
 
 
 def test_every_seed_sails_another_boat():
@@ -499,7 +523,7 @@ def test_a_forecast_with_nan_is_an_error_that_says_where(tmp_path, monkeypatch, 
     assert isinstance(error, BenchmarkError)
     for word in ("gaps, run zigzag_none_0, plan known", kind.__name__, *words):
         assert word in str(error)
-    assert not bench.result_file(tmp_path, unit).exists()
+    assert not bench.result_file(settings, unit, tmp_path).exists()
 
 
 def test_results_name_the_program_and_fresh_ones_reuse_nothing(small, tmp_path, monkeypatch):

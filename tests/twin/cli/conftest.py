@@ -18,6 +18,6 @@ def empty(tmp_path, monkeypatch):
 def folder(tmp_path_factory):
     """A folder with a zigzag of 40 s that loses GPS, and its particulars."""
     path = tmp_path_factory.mktemp("cli")
-    options = ("--duration", "40", "--seed", "3", "--faults", "gps5", "--fault-start", "20")
+    options = ("--duration", "40", "--seed", "3", "--faults", "gps5@20")
     run("simulate", "zigzag", *options, "--out", path / "run.csv")
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -69,6 +70,37 @@ def test_particulars_of_a_known_boat_are_written_whole(folder, tmp_path):
     written = tmp_path / "boat.toml"
     run("check", folder / "run.csv", "--no-twin", "--no-picture", "--write", written)
     assert Particulars.load(written).length == Particulars.load(folder / "run.toml").length
+
+
+def test_particulars_written_anew_keep_what_was_written_by_hand(faulty, tmp_path):
+    path = faulty.with_suffix(".toml")
+    quiet = ("--no-picture", "--no-twin", "--write", path)
+    run("check", faulty, *quiet, check=1)
+    first = path.read_text()
+    run("check", faulty, *quiet, "--force", check=1)
+    assert path.read_text() == first  # it can be written anew before it is complete
+    text = first.replace('steering = "drives"', 'steering = "differential"')
+    for name, value in {"length": 6.3, "beam": 2.7, "draft": 0.5, "mass": 3000}.items():
+        text = text.replace(f"# {name} = ?  # fill in", f"{name} = {value}")
+    text = re.sub("(?m)^shaft_speed = .*", "shaft_speed = 9.0  # log: at that speed", text)
+    text = re.sub("(?m)^gyro_sd = .*", "gyro_sd=0.003 # data sheet", text)
+    text = re.sub("(?m)^gps_sd = .*", "gps_sd = 9.0  # log: scatter", text)
+    text = text.replace("gps_arm = [0.0, 0.0, 0.0]", "gps_arm = [\n  1.0, 0.0,\n  -2.0,\n]")
+    path.write_text(text + "\n[deck]\nmax_speed = 0.4\n")
+    out = run("check", faulty, *quiet, "--force", check=1).stdout
+    assert "length, beam, draft, mass, gyro_sd, gps_arm, max_speed, written by hand" in out
+    boat = Particulars.load(path)
+    assert (boat.length, boat.mass, boat.deck.max_speed) == (6.3, 3000.0, 0.4)
+    assert (boat.instruments.gyro_sd, boat.instruments.gps_arm) == (0.003, (1.0, 0.0, -2.0))
+    assert boat.steering == "drives" and boat.shaft_speed > 10.0 and boat.instruments.gps_sd < 1.0
+
+
+def test_several_logs_are_checked_in_turn(folder, faulty):
+    quiet = ("--no-twin", "--no-picture")
+    out = run("check", folder / "run.csv", faulty, *quiet, check=1).stdout
+    assert "run: " in out and "bad: " in out
+    said = run("check", folder / "run.csv", faulty, *quiet, "--json", "a.json", check=2).stderr
+    assert "--json: that is for one log" in said
 
 
 def test_a_twin_of_a_faulty_log_is_bad(folder, tmp_path):

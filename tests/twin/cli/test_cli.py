@@ -24,7 +24,6 @@ from twin import Log, Twin, recorded_runs
 from twin.channels import STATE
 from twin.cli.benchmark import match_files
 from twin.cli.common import parse_seeds
-from twin.cli.main import expand_files
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
 from usv_gym import Vessel
@@ -227,9 +226,9 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("benchmark --full --faults none", ["--cases"]),
         ("benchmark --backend mpi", ["mpi", "loky", "dask"]),
         ("benchmark --predictors no_body:Mine", ["no_body:Mine", "working directory"]),
-        ("benchmark --log none.csv", ["none.csv", "no such file"]),
-        ("benchmark --log /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),
-        ("benchmark --log .", [".: no such file", "pattern"]),
+        ("benchmark none.csv", ["none.csv", "no such file"]),
+        ("benchmark /nowhere/*.csv", ["/nowhere/*.csv", "no such file"]),
+        ("benchmark .", [".: no such file", "pattern"]),
     ],
 )
 def test_wrong_options_are_named_and_nothing_is_written(empty, arguments, words):
@@ -251,18 +250,18 @@ def test_benchmark_end_to_end(empty):
     assert Path("out/report.html").stat().st_size > 10_000
     log = Path("out/logs/zigzag_gps5_0.csv")
     run("identify", log, "--until", "20")
-    logs = ("--log", log, log.with_name("zigzag_gps5_1.csv"))
+    logs = (log, log.with_name("zigzag_gps5_1.csv"))
     again = run("benchmark", *logs, *two, "--faults", "none", "--out", "again", "--jobs", "1")
     assert "zigzag_gps5_1" in again.stdout
     Path("broken.csv").write_text("t_s\n1\n")
-    logs = ("--log", "broken.csv", log, "missing.csv")
+    logs = ("broken.csv", log, "missing.csv")
     mixed = run("benchmark", *logs, "--predictors", "persistence", "--out", "mixed", "--jobs", "1")
     assert "broken.csv" in mixed.stderr and "missing.csv" in mixed.stderr
     results = json.loads(Path("mixed/results.json").read_text())
     assert {row["scenario"] for row in results["rows"]} == {"zigzag_gps5_0"}
     assert {row["fault"] for row in results["rows"]} == {"none"}
     assert any("not scored" in note and "broken.csv" in note for note in results["notes"])
-    none = run("benchmark", "--log", "broken.csv", "--out", "none", "--jobs", "1", check=2)
+    none = run("benchmark", "broken.csv", "--out", "none", "--jobs", "1", check=2)
     assert none.stderr.count("not scored: broken.csv") == 1
     assert "nothing could be scored" in none.stderr
 
@@ -315,12 +314,6 @@ def test_seeds_are_ranges_and_lists():
     assert parse_seeds("7,3,7") == (7, 3)
     assert parse_seeds("200-202") == (200, 201, 202)
     assert parse_seeds("0-1,5,8:10") == (0, 1, 5, 8, 9)
-
-
-def test_one_option_takes_several_files():
-    words = ["benchmark", "--log", "a", "b", "--jobs", "2", "--log", "c"]
-    expanded = " ".join(expand_files(words))
-    assert expanded == "benchmark --log a --log b --jobs 2 --log c"
 
 
 def test_patterns_that_the_shell_has_not_expanded(empty):

@@ -52,7 +52,7 @@ def test_identify_saves_and_uses_a_prior(folder, second, tmp_path):
     assert (tmp_path / "2.prior").read_text() == (tmp_path / "4.prior").read_text()
     for arguments, words in (
         ((log, "--save-prior", kept), "--force"),
-        ((log, second, "--json", tmp_path / "x.json"), "--json: that is for one run"),
+        ((log, second, "--json", tmp_path / "x.json"), "--json: that is for one log"),
         ((log, second, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
         ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
     ):

@@ -103,6 +103,36 @@ def test_a_fix_far_away_that_is_held_is_a_jump_and_no_mark() -> None:
     assert serious(check_recording(recording(log, hold), boat)) == {"jump:fix"}
 
 
+@pytest.mark.parametrize(("knots", "rows"), [(1273.9, 3), (60.0, 1), (60.0, 6)])
+@pytest.mark.parametrize("run", ["otter", "usv75"])
+def test_an_absurd_velocity_is_named_and_no_other_fault(knots: float, rows: int, run: str) -> None:
+    """As MAVLink's unknown speed of 65535 cm/s, or a glitch of the receiver."""
+
+    def glitch(data: dict[str, np.ndarray]) -> None:
+        inside = slice(1000, 1000 + rows)
+        course = np.arctan2(data[VELOCITY[1]][inside], data[VELOCITY[0]][inside])
+        for name, part in zip(VELOCITY, (np.cos, np.sin), strict=True):
+            data[name][inside] = knots * 1852.0 / 3600.0 * part(np.nan_to_num(course))
+
+    log, boat = sound(*RUNS[run])
+    check = check_recording(recording(log, glitch), boat)
+    assert serious(check) == {"mark:velocity"}
+    found = finding(check, "mark:velocity")
+    assert found.size == pytest.approx(knots * 1852.0 / 3600.0) and f"({knots:g} kn)" in found.what
+    assert check.agreed == pytest.approx(check_recording(recording(log), boat).agreed, abs=0.02)
+
+
+def test_a_boat_that_rests_and_sails_for_a_moment_is_not_absurd() -> None:
+    boat = sound(*RUNS["otter"])[1]
+    t = np.arange(0.0, 150.0, 0.1)
+    speed = np.where((t > 100.0) & (t < 101.2), 4.0, 0.0)
+    data = {"t_s": t, "gps_x_m": np.cumsum(0.1 * speed) + 0.01 * np.sin(7.0 * t)}
+    data |= {"gps_y_m": 0.01 * np.cos(7.0 * t), "compass_rad": 0.01 * np.sin(3.0 * t)}
+    data |= {VELOCITY[0]: speed, VELOCITY[1]: 0.01 * np.sin(t), **dict.fromkeys(COMMANDS, 0.0 * t)}
+    check = check_recording(Recording.of(data, {}, "log"), boat)
+    assert not any(each.code == "mark" for each in check.findings)
+
+
 def test_a_step_aside_is_named_with_its_size_and_time() -> None:
     log, boat = sound(*RUNS["otter"])
     found = finding(check_recording(recording(log, step_aside), boat), "jump:fix")

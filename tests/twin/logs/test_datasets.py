@@ -126,7 +126,7 @@ def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
     options = {
         "benchmark": ["--predictors", "persistence", "--out", str(tmp_path / "out"), "--jobs=1"],
     }
-    first = [str(path)] if kind != "benchmark" else ["--log", str(path)]
+    first = [str(path)]
     result = CliRunner().invoke(app, [kind, *first, *options.get(kind, [])])
     said = " ".join(result.output.split())
     assert result.exit_code == 2

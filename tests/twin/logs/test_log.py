@@ -75,7 +75,7 @@ def test_round_trip_keeps_the_bits(tmp_path: Path, name: str, truth: bool) -> No
     back = Log.read(tmp_path / name)
     assert same_bits(log, back)
     assert back.name == "a"
-    assert "gps_x_m: no value in 14 of 40 rows" in " ".join(back.notes)
+    assert "gps_vy_mps: no value in 14 of 40 rows" in " ".join(back.notes)
     assert "wind_mps: all 40 cells empty, taken as never measured" in back.notes
 
 
@@ -197,7 +197,7 @@ def test_degrees_and_rpm_are_converted(tmp_path: Path) -> None:
     assert log.truth is not None
     np.testing.assert_allclose(log.truth[:, 2], wave, rtol=1e-14)
     assert np.isnan(log.truth[:, [0, 1, 3, 4, 5]]).all()
-    assert "delta_left_deg: converted to delta_left_rad" in log.notes
+    assert "delta_left_deg: converted to delta_left_rad" in log.notes[0]
     assert any("true_x_m" in note and "unknown" in note for note in log.notes)
 
 
@@ -208,8 +208,7 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
     log = Log.read(save(tmp_path / "a.csv", table))
     assert np.isnan(log.z[:, 8]).all()
     assert log.notes == (
-        "battery_V: unknown column, left out",
-        "wind: unknown column, left out",
+        "2 column(s) unknown, left out: battery_V, wind",
         "wind_mps: not in the file, taken as never measured",
     )
 
@@ -232,7 +231,7 @@ def test_one_propeller_and_one_rudder_are_put_on_both_sides(tmp_path: Path) -> N
     np.testing.assert_allclose(log.cmd[:, 0], 1.0 + np.arange(ROWS) / 60.0, rtol=1e-15)
     np.testing.assert_array_equal(log.cmd[:, 0], log.cmd[:, 1])
     np.testing.assert_array_equal(log.cmd[:, 2:], 0.5)
-    assert "delta_rad: one for both sides, delta_left_rad and delta_right_rad" in log.notes
+    assert "delta_rad: one for both sides, delta_left_rad and delta_right_rad" in log.notes[0]
     table["n_left_rps"] = table["n_rpm"]
     message = refused(save(tmp_path / "a.csv", table))
     assert "columns n_rpm and n_left_rps both give n_left_rps; remove one" in message
@@ -350,6 +349,14 @@ def test_empty_measurements_are_missing_data(tmp_path: Path) -> None:
         "gps_x_m: no value in 110 of 2000 rows (longest gap 10.0 s at t = 90.0 s)",
         "wind_mps: no value in 10 of 2000 rows (longest gap 1.0 s at t = 199.0 s)",
     )
+
+
+def test_columns_that_miss_the_same_have_one_note(tmp_path: Path) -> None:
+    table = columns(200)
+    for name in ("gps_x_m", "gps_y_m", "gps_vx_mps", "gps_vy_mps"):
+        table[name] = [cell if k % 5 == 0 else "" for k, cell in enumerate(table[name])]
+    (note,) = Log.read(save(tmp_path / "a.csv", table)).notes
+    assert note.startswith("gps_x_m, gps_y_m, gps_vx_mps, gps_vy_mps: no value in 160 of 200 rows")
 
 
 def test_empty_command_holds_the_last(tmp_path: Path) -> None:

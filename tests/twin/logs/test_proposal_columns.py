@@ -76,6 +76,28 @@ def test_a_yaw_rate_is_no_heading(tmp_path: Path, name: str) -> None:
     assert any(line.startswith("gyro_radps") and name in line for line in lines)
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        *(
+            ("steering_pwm", "throttle_pwm"),
+            ("Steering", "Throttle"),
+            ("rudder servo", "motor pwm"),
+        ),
+        *(("servo_helm", "esc"), ("delta_us", "pwm")),
+    ],
+)
+def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[str, str]) -> None:
+    """Pulse widths become an angle and a shaft speed by what their columns move."""
+    columns = boat()
+    shaft, angle = columns.pop("rpm_left"), columns.pop("rpm_right")
+    columns |= {names[0]: 1500.0 + 500.0 * np.sin(angle), names[1]: 1500.0 + 0.1 * shaft}
+    text, log = mapped(write(tmp_path / "a.csv", columns))
+    assert "left out" not in text and "2000 us is taken as 0.5 rad" in text
+    assert log.cmd[:, 0] == pytest.approx(0.02 * 0.1 * shaft, abs=1e-6)
+    assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(angle), abs=1e-6)
+
+
 PAIRS = [
     ("servo1", "servo3"),
     ("SERVO_OUTPUT_RAW.servo1_raw", "SERVO_OUTPUT_RAW.servo3_raw"),

@@ -134,11 +134,18 @@ def test_a_header_may_begin_with_a_mark_of_comments(tmp_path: Path) -> None:
     assert "comments" not in refusal(path)
 
 
-@pytest.mark.parametrize("latitude", ["5954.4200", "-3330.5000"])
-def test_degrees_and_minutes_in_one_number_are_named(tmp_path: Path, latitude: str) -> None:
+@pytest.mark.parametrize("latitude", ["5954.4200", "-3330.6000"])
+def test_degrees_and_minutes_in_one_number_are_read(tmp_path: Path, latitude: str) -> None:
     lines = [f"{k},{latitude},01043.2{k:03d},{k % 90},600,{600 + k}" for k in range(60)]
     path = write(tmp_path / "a.csv", [HEAD, *lines])
     result = CliRunner().invoke(app, ["mapping", str(path)])
-    assert "ddmm.mm" in result.output
+    assert 'unit = "ddmm"' in result.output
+    log = Log.read(path)
+    degrees = {"5954.4200": 59.907, "-3330.6000": -33.51}[latitude]
+    assert log.datum is not None and log.datum.plane is not None
+    assert log.datum.plane.latitude == pytest.approx(degrees, abs=1e-9)
+    assert log.datum.plane.longitude == pytest.approx(10.0 + 43.2 / 60.0, abs=1e-9)
+    mapping = path.with_suffix(".mapping.toml")
+    mapping.write_text(mapping.read_text().replace("ddmm", "deg"))
     message = refusal(path)
-    assert "ddmm.mm" in message and "plus the rest over 60" in message
+    assert "ddmm.mm" in message and 'unit = "ddmm"' in message

@@ -435,7 +435,7 @@ def test_commands_refuse_a_file_before_they_run(files):
 def test_benchmark_report_names_the_datum(files):
     run(600).write(files / "run.csv")
     options = ("--predictors", "persistence", "--jobs", "1", "--out", files / "out")
-    code, said = command("benchmark", "--log", files / "run.csv", *options)
+    code, said = command("benchmark", files / "run.csv", *options)
     assert code == 0, said
     results = json.loads((files / "out" / "results.json").read_text(encoding="utf-8"))
     assert results["logs"]["run"]["datum"] == HERE.to_json()

@@ -125,6 +125,30 @@ def test_an_ambiguous_zone_asks(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "-05:00" in result.output
 
 
+@pytest.mark.parametrize("head", ["Time (CEST)", "DateTime UTC+2", "Local time"])
+def test_a_zone_in_the_header_or_asked_for_is_written_and_used(tmp_path: Path, head: str) -> None:
+    path = write(tmp_path / "run.csv", head, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
+    if head == "Local time":
+        assert any("state it with --zone" in question for question in propose(path).questions)
+    log = mapped(path, *(("--zone", "+02:00") if head == "Local time" else ()))
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 7200.0)
+    # what was asked for counts more than the header, and less than the dates themselves
+    log = mapped(path, "--zone", "+03:00", "--force")
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 10800.0)
+    path = write(tmp_path / "run.csv", head, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}Z")
+    log = mapped(path, "--zone", "+03:00", "--force")
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH)
+    assert any("+03:00 is left out" in text for text in propose(path, "", "+03:00").questions)
+
+
+@pytest.mark.parametrize("names", ["Datum,Uhrzeit", "Fecha,Hora", "Data,Ora", "日期,时间"])
+@pytest.mark.parametrize("form", ["%d.%m.%Y,%H:%M:%S.%f", "%Y%m%d,%H:%M:%S.%f"])
+def test_a_date_beside_a_time_is_one_in_any_language(tmp_path: Path, names: str, form: str) -> None:
+    path = write(tmp_path / "run.csv", names, lambda t: t.strftime(form))
+    log = mapped(path, "--dates", "day-first")
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH, abs=0.01)
+
+
 def test_unknown_dates_and_surplus_commas_are_said(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%H hours %M:%S}")
     assert any("no format of date and time that is known" in q for q in propose(path).questions)
@@ -141,6 +165,7 @@ def test_keys_of_the_time_are_checked(tmp_path: Path) -> None:
         ('["Date", "Time"]', '["Date"]', "or two"),
         ('unit = "datetime", format = "%d.%m.%Y %H:%M:%S%.f"', 'unit = "s"', "need unit"),
         (" }", ', zone = "CEST" }', "hours and minutes"),
+        ('["Date", "Time"], unit = "datetime"', '"Date", unit = "date"', "known here: .*datetime"),
         ('%.f" }', '%.f%#z", zone = "+02:00" }', "none of their own"),
     ):
         mapping.write_text("[columns]\n" + good.replace(old, new) + "\n", encoding="utf-8")

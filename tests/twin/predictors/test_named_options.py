@@ -121,15 +121,15 @@ def test_benchmark_scores_and_keeps_variants_apart(tmp_path):
     for name in names[1:]:
         unit = Unit("turn", "none", 0, name)
         result = run_unit(settings, unit, tmp_path, pictures=False)
-        file = result_file(tmp_path, unit)
+        file = result_file(settings, unit, tmp_path)
         assert json.loads(file.read_text())["content"]["unit"]["predictor"] == name
         files.add(file)
         errors.append(json.dumps(result["plans"]["known"]))
     assert len(files) == 2 and errors[0] != errors[1]
     long = "dsw-ukf:" + ",".join(f"x0=0.{k}" for k in range(100))
-    other = result_file(tmp_path, Unit("turn", "none", 0, long + "1"))
+    other = result_file(settings, Unit("turn", "none", 0, long + "1"), tmp_path)
     assert len(other.name) < 255
-    assert other != result_file(tmp_path, Unit("turn", "none", 0, long))
+    assert other != result_file(settings, Unit("turn", "none", 0, long), tmp_path)
 
 
 def test_environments_take_options_in_the_name():

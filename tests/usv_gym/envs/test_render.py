@@ -18,7 +18,7 @@ from twin.sim.wrapper import TwinObservation
 from usv_gym import Fault, SensorSuite
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.render import Painter, Renderer
-from usv_gym.envs.scene import Scene, ellipses
+from usv_gym.envs.scene import Scene, ellipses, outlines
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -84,6 +84,17 @@ def test_every_vessel_is_painted(vessel: str) -> None:
     env = made(vessel=vessel)
     sail(env, 0.2)
     assert count(picture(env), (92, 99, 105)) > 100
+
+
+def test_a_catamaran_has_two_hulls_and_a_deck_within_its_beam() -> None:
+    for name, count in {"otter": 3, "wamv16": 3, "usv75": 1, "kvlcc2_l7": 1}.items():
+        vessel = usv_gym.Vessel.load(name)
+        shapes = outlines(vessel)
+        assert len(shapes) == count
+        points = np.vstack(shapes)
+        assert np.ptp(points[:, 1]) == pytest.approx(vessel.values["beam"])
+        bows = {round(float(shape[np.argmax(shape[:, 0]), 1]), 6) for shape in shapes[:2]}
+        assert (0.0 in bows) == (count == 1)
 
 
 def test_north_is_up_and_east_is_right() -> None:

@@ -32,7 +32,7 @@ class RunFigure:
     # as in the rows of the results
     scenario: str
     fault: str
-    seed: int
+    seed: int | None  # None for a recorded run
     log: Log  # the run; without truth, the measurements stand in for it
     lost: list[tuple[float, float]]  # start and end of the times without GPS, s
     # by predictor, in the order of the legends: at most three, made at the same times by all
@@ -41,13 +41,13 @@ class RunFigure:
     @property
     def name(self) -> str:
         """Scenario, fault and seed for names of files."""
-        return f"{self.scenario}_{self.fault}_seed{self.seed}"
+        return f"{self.scenario}_{self.fault}" + ("" if self.seed is None else f"_seed{self.seed}")
 
     @property
     def label(self) -> str:
         """Scenario, fault and seed for headings."""
         fault = "no fault" if self.fault == "none" else f"fault {self.fault}"
-        return f"{self.scenario}, {fault}, seed {self.seed}"
+        return f"{self.scenario}, {fault}" + ("" if self.seed is None else f", seed {self.seed}")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ Row = Mapping[str, Any]
 IDEAL = {"coverage90": 0.9, "motion_coverage90": 0.9}
 """Metrics whose best value is neither the smallest nor the largest."""
 
-LARGEST = ("skill", "brier_skill", "auc")
+LARGEST = ("skill", "brier_skill", "auc", "won")
 """Metrics whose best value is the largest."""
 
 NO_RACE = ("motion_sd", "motion_held", "base_rate", "auc_now")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,21 @@ STYLE = "<style>.uplot { width: 100% !important; }</style>"
 """A curve begins 0 pixels wide, and grows: its title and legend have their place from the begin."""
 
 
+def by_equation(blocks: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
+    """Return blocks of parameters that follow each other, those of two equations by themselves.
+
+    The span of a block may hold all of the one before it: then that one keeps its own.
+    """
+    spans, found, end = list(blocks.items()), dict[str, tuple[int, int]](), 0
+    for k, (name, (first, last)) in enumerate(spans):
+        first = max(first, end)
+        after, begins = (spans[k + 1][0], spans[k + 1][1][0]) if k + 1 < len(spans) else ("", last)
+        common = begins if first < begins < last else last
+        found |= {name: (first, common), f"{name} and {after}": (common, last)}
+        end = last
+    return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
+
+
 class Curves:
     """The panel on the right: how well the twin does, and what it makes of the boat."""
 
@@ -68,7 +84,7 @@ class Curves:
                 ("twin", RED, ()),
                 ("velocity and turn rate held", GREY, (6.0, 4.0)),
             )
-        self.blocks = session.monitor.twin.predictor.parameter_blocks
+        self.blocks = by_equation(session.monitor.twin.predictor.parameter_blocks)
         names = session.monitor.twin.predictor.parameter_names
         units = session.monitor.twin.predictor.parameter_units
         self.parameters: list[tuple[Any, Any]] = []

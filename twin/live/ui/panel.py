@@ -403,7 +403,7 @@ HELP = (
     "<b>Current</b>: velocity of the water as the twin's model has it, and where it flows to.",
     f"<b>Parameters</b> of the twin's model, with {SDS:g} standard deviations (dotted). X, Y, N "
     "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
-    "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "
+    "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind. C: the "
     "current. More: twin/model/structure.py.",
     "<b>Keys</b>: arrows steer, space stops the time, G loses GPS for 10 s, R restarts.",
 )

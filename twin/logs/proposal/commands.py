@@ -9,17 +9,16 @@ import numpy as np
 
 from twin.logs.proposal.header_words import (
     NAMES,
-    SHAFT,
-    STEER,
-    is_command,
+    is_shaft,
     is_side,
+    is_steering,
     means,
     other_side,
     sides_of,
     unit_of,
     words_of,
 )
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, known, put
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, is_pulses, known, put
 
 __all__ = ["find_commands", "find_pulses"]
 
@@ -28,14 +27,14 @@ _LACKING = "n_left_rps, n_right_rps (or n_rps)"
 
 def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> None:
     """Find shaft speeds and steering angles, of one unit or two; ``given`` ones are known."""
-    for pattern, single, pair, convert in (
-        (SHAFT, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
-        (STEER, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
+    for is_named, single, pair, convert in (
+        (is_shaft, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
+        (is_steering, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
     ):
         if any(name in given for name in (single, *pair)):
             continue
-        there = [n for n in columns.left if n in columns.numbers and is_command(n, pattern)]
-        sides = _sides(columns, found, there, pattern)
+        there = [n for n in columns.left if n in columns.numbers and is_named(n)]
+        sides = _sides(columns, found, there, shafts=is_named is is_shaft)
         if sides is not None:
             for target, source in zip(pair, sides, strict=True):
                 convert(target, source, columns, found)
@@ -54,10 +53,10 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
 
 
 def _sides(
-    columns: Columns, found: Proposal, there: list[str], pattern: str
+    columns: Columns, found: Proposal, there: list[str], *, shafts: bool
 ) -> tuple[str, str] | None:
     """Return the columns of the left and the right, and ask where the names leave it open."""
-    outputs = _autopilot_outputs(columns, there) if pattern == SHAFT else None
+    outputs = _autopilot_outputs(columns, there) if shafts else None
     if outputs is not None:
         found.questions.append(
             f"{outputs[0]}, {outputs[1]}: taken as left and right, as ArduPilot's skid steering "
@@ -67,7 +66,7 @@ def _sides(
     named = sides_of(there)
     if named is not None and other_side(named[0], [named[1]]) is None:
         return named
-    if not there and pattern == SHAFT:
+    if not there and shafts:
         # plain "left" and "right"
         bare = sides_of([n for n in columns.left if n in columns.numbers and is_side(n)])
         if bare is not None:
@@ -99,10 +98,8 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
     pulses = [
         name
         for name in columns.left
-        if (values := known(columns.numbers.get(name, np.empty(0)))).size
-        and values.min() >= 800.0
-        and values.max() <= 2200.0
-        and (np.ptp(values) > 20.0 or means(name, NAMES["channel"]))
+        if is_pulses(values := columns.numbers.get(name, np.empty(0)))
+        and (np.ptp(known(values)) > 20.0 or means(name, NAMES["channel"]))
     ]
     if _LACKING not in found.missing or len(pulses) != 2:
         return
@@ -115,7 +112,7 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
 def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
     values, words = known(columns.numbers[name]), words_of(name)
     most = float(np.abs(values).max(initial=0.0))
-    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in words:
+    if is_pulses(values) and "rpm" not in words:
         more = "scale = 0.02, offset = -30.0"
         put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
     elif "rpm" in words or most > 150.0:
@@ -125,7 +122,16 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
 
 
 def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
-    most = float(np.abs(known(columns.numbers[name])).max(initial=0.0))
+    values = known(columns.numbers[name])
+    if is_pulses(values):
+        more, why = "scale = 0.001, offset = -1.5", "pulse width, 1500 us: midships"
+        found.questions.append(
+            f"{name}: 2000 us is taken as 0.5 rad, 29 degrees, to starboard; state the boat's own "
+            "angle by scale and offset"
+        )
+        put(columns, found, target, name, "", more, why)
+        return
+    most = float(np.abs(values).max(initial=0.0))
     unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
     why = "above 0 must turn to starboard"
     put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

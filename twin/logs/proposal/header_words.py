@@ -8,10 +8,9 @@ from collections.abc import Sequence
 
 __all__ = [
     "NAMES",
-    "SHAFT",
-    "STEER",
-    "is_command",
+    "is_shaft",
     "is_side",
+    "is_steering",
     "is_turn_rate",
     "means",
     "other_side",
@@ -23,12 +22,16 @@ __all__ = [
 SIDES = {"left": r"left|port|ps|l|1", "right": r"right|starboard|stbd|sb|r|2"}
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
-SHAFT = r"n|rpm|rps|pwm|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|servo|engine|revs"
+SHAFT = r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|engine|revs"
 
 STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm"
 
+PULSE = r"pwm|servo"
+"""Words that say how a command is sent, not what it moves: a shaft where no other word does."""
+
 NAMES = {
-    "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock",
+    "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
+    r"datum|zeit|uhrzeit|heure|fecha|hora|tijd",
     "latitude": r"lat|latitude",
     "longitude": r"lon|lng|long|longitude",
     "north": r"x|north|northing",
@@ -116,10 +119,20 @@ def is_turn_rate(name: str) -> bool:
     return bool(unit_of(name, ("degpmin", "degps", "radps")))
 
 
-def is_command(name: str, pattern: str) -> bool:
+def _is_command(name: str, pattern: str) -> bool:
     """Return whether a name is that of a command: a word of a pattern, with or without a side."""
     side = rf"({'|'.join(SIDES.values())}|[ab]|\d)?"
     return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
+
+
+def is_steering(name: str) -> bool:
+    """Return whether a name is that of a steering angle."""
+    return _is_command(name, STEER)
+
+
+def is_shaft(name: str) -> bool:
+    """Return whether a name is that of a shaft speed or throttle."""
+    return _is_command(name, SHAFT) or (_is_command(name, PULSE) and not is_steering(name))
 
 
 def is_side(name: str) -> bool:
@@ -134,7 +147,7 @@ def sides_of(names: Sequence[str]) -> tuple[str, str] | None:
     found = {}
     for side, words in SIDES.items():
         whole = [name for name in names if any(re.fullmatch(words, w) for w in words_of(name))]
-        ends = rf"({SHAFT}|{STEER})({words})"
+        ends = rf"({SHAFT}|{STEER}|{PULSE})({words})"
         ending = [name for name in names if any(re.fullmatch(ends, w) for w in words_of(name))]
         found[side] = next(iter(whole or ending), None)
     left, right = found["left"], found["right"]

@@ -10,16 +10,13 @@ import numpy as np
 from twin.channels import MEASUREMENTS
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
-from twin.logs.datum import Plane
+from twin.logs.datum import Plane, from_minutes, in_minutes
 from twin.logs.files import number_of
 from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
-from twin.logs.proposal.header_words import NAMES, SHAFT, is_command, means, sides_of, unit_of
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, known, pick, put
+from twin.logs.proposal.header_words import NAMES, is_shaft, means, sides_of, unit_of
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, is_pulses, known, pick, put
 
 __all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
-
-_NMEA = 18060.0
-"""Degrees and minutes in one number are below this."""
 
 
 def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[Array, Array] | None:
@@ -79,16 +76,18 @@ def place_degrees(
         most = [1e-7 * each for each in most]
         add_line(found, "position", "scale = 1e-7  # as MAVLink has them")
     swapped = ""
+    if most[0] > 180.0 and in_minutes(lat, lon):
+        add_line(found, "position", 'unit = "ddmm"  # degrees and minutes, as NMEA has them')
+        lat, lon = from_minutes(lat), from_minutes(lon)
+        most = [0.01 * each for each in most]
     if most[0] > 90.0 >= most[1]:
         swapped = (
             f"{names[0]} reaches {most[0]:.4g} degrees: latitude and longitude are swapped, and "
             "taken so"
         )
     elif most[0] > 90.0:
-        nmea = most[0] < 9060.0 and most[1] < _NMEA
         found.questions.append(
             f"{names[0]} reaches {most[0]:.6g}, no latitude: convert it to degrees before"
-            + " (NMEA has degrees and minutes in one number, ddmm.mm)" * nmea
         )
     elif _is_swapped(columns, t, lat, lon):
         swapped = (
@@ -163,15 +162,14 @@ def _is_swapped_by_heading(columns: Columns, t: Array | None, lat: Array, lon: A
     angle = values if angle_unit(name, values) == "rad" else np.radians(values)
     if not is_from_east(fix, clean(t, angle)):
         return False
-    there = [n for n in columns.left if n in columns.numbers and is_command(n, SHAFT)]
+    there = [n for n in columns.left if n in columns.numbers and is_shaft(n)]
     sides = sides_of(there)
     if sides is None:
         return False
     thrust = []
     for each in sides:
         shaft = columns.numbers[each]
-        pulses = known(shaft).min(initial=math.inf) >= 800.0 and known(shaft).max() <= 2200.0
-        n = shaft - 1500.0 * pulses
+        n = shaft - 1500.0 * is_pulses(shaft)
         thrust.append(n * np.abs(n))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return turns_as_driven(t, angle, thrust[0] - thrust[1])

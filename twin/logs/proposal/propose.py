@@ -102,14 +102,16 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
     time = find_time(columns.text, columns.numbers, columns.left, answers)
     found.questions += time.questions
     found.choices, found.zone = time.choices, time.zone
+    if answers[1] and "zone =" not in time.more:
+        found.questions.append(f"the times need no zone: {answers[1]} is left out")
     if not time.names:
         found.missing.append("t_s")
         return None
     *date, clock = [columns.take(name) for name in time.names]
     line = entry("t_s", clock, time.unit, time.more, time.why)
     if date:
-        two = f"from = [{json.dumps(date[0])}, {json.dumps(clock)}]"
-        line = line.replace(f"from = {json.dumps(clock, ensure_ascii=False)}", two)
+        one, other = (json.dumps(name, ensure_ascii=False) for name in (date[0], clock))
+        line = line.replace(f"from = {other}", f"from = [{one}, {other}]")
     add_line(found, "columns", line)
     return time.seconds
 

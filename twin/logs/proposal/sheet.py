@@ -22,6 +22,7 @@ __all__ = [
     "add_line",
     "clean",
     "entry",
+    "is_pulses",
     "known",
     "pick",
     "put",
@@ -116,6 +117,12 @@ def put(
 def known(values: Array) -> Array:
     """Return the values that are finite."""
     return values[np.isfinite(values)]
+
+
+def is_pulses(values: Array) -> bool:
+    """Return whether values are pulse widths of a servo or speed controller, us."""
+    there = known(values)
+    return bool(len(there) and there.min() >= 800.0 and there.max() <= 2200.0)
 
 
 def clean(t: Array, values: Array) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.logs.columns import Array
 from twin.logs.dates import (
+    MEANINGS,
     ZONES,
     DateFormat,
     date_formats,
@@ -32,6 +33,13 @@ _DAY = 86400.0
 _DAY_STEP, _DAY_LEAST = 5e-4, 2e4
 """Numbers above the second that rise by less than the first are days, not seconds: no log has 2000
 rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
+
+
+_WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
+"""Year, month and day in one number."""
+
+_AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
+"""How far a clock is ahead of UTC, in the name of its column."""
 
 
 @dataclass
@@ -105,7 +113,12 @@ def _clocks(
 ) -> list[tuple[str, ...]]:
     """Return columns that may hold date and time, the likeliest first."""
     first = {name: _first(text, name) for name in left}
-    days = [name for name in named if is_day(first[name])]
+    days = [
+        name
+        for name in sorted(left, key=lambda name: name not in named)
+        if (name in named or name not in numbers or _WHOLE_DAY.fullmatch(first[name]))
+        and is_day(first[name])
+    ]
     whole = [
         n for n in left if n not in numbers and ":" in first[n] and not is_time_of_day(first[n])
     ]
@@ -162,20 +175,37 @@ def _dated(
         found.questions.append(f"{title}: the log keeps no date; add a column of dates to keep it")
     elif form.startswith("%d%m%y "):
         found.questions.append(f"{names[0]}: taken as day, month, year, as NMEA has it")
-    if name:
-        zone = zone or ZONES.get(name, "")
-        found.more += f', zone = "{zone}"' if zone else ""
-        found.why = f"{name} is {zone}" if zone else ""
-        if not zone:
+    stated = re.search(r"%#?z|UTC$|GMT$", form)
+    if not form:  # ISO 8601
+        stated = re.search(r":.*(Z|[+-]\d\d(:?\d\d)?)$", example)
+    if stated or "%d" not in (form or "%d"):
+        zone = ""
+    else:
+        in_head, name = ("", name) if name else _zone_of(title)
+        zone = zone or in_head or ZONES.get(name, "")
+        found.why = f"{name} is {zone}" if name else ""
+        if not zone and name:
             found.zone = name
             found.questions.append(
                 f"{title}: {example!r}: {name} is the name of several zones: how far ahead of UTC?"
             )
-    elif not re.search(r"%#?z|UTC$|GMT$", form) and "%d" in (form or "%d"):
-        stated = not form and re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", example)
-        found.why = "" if stated else "dates without a zone count as UTC"
+        elif not zone:
+            found.why = "dates without a zone count as UTC"
+            if re.search(r"\blocal", title, re.IGNORECASE):
+                found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
+    if zone and zone != "+00:00":
+        found.more += f'{", " * bool(found.more)}zone = "{zone}"'
     found.seconds = dates(cells, form)
     return found
+
+
+def _zone_of(title: str) -> tuple[str, str]:
+    """Return how far a clock is ahead of UTC by the name of its column, and the zone's name."""
+    ahead = _AHEAD.search(title)
+    if ahead is not None:
+        return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
+    words = re.findall(r"\b[A-Z]{3,4}\b", title)
+    return "", next((word for word in words if word in {**ZONES, **MEANINGS}), "")
 
 
 def _counted(

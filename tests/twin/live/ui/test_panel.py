@@ -11,7 +11,9 @@ from twin import Log, Twin
 from twin.integrity.monitor import SensorStatus
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Snapshot
+from twin.live.ui.curves import by_equation
 from twin.live.ui.panel import checks, said, table
+from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_kernel.channels import GYRO
@@ -81,3 +83,17 @@ def test_a_moment_of_a_log_shows_the_health_and_the_current_of_then(tmp_path):
     twin = Twin(particulars_of(VESSEL), "dsw-ukf-plus")
     twin.run(session.log.slice(t1=19.5))
     assert twin.health == seen[19.5].health
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("current", [False, True])
+def test_each_parameter_stands_once_and_under_its_equation(model, current):
+    structure = structure_of(model, 6.3, 5.4, 20.0, biased=True, current=current)
+    blocks = by_equation(structure.blocks)
+    assert list(blocks) == ["surge", "surge and sway", "sway", "yaw"]
+    under = {name: structure.parameters[a:b] for name, (a, b) in blocks.items()}
+    assert sum(under.values(), ()) == structure.parameters
+    common = {"E_north", "E_east", *(("C_north", "C_east") if current else ())}
+    assert set(under["surge and sway"]) == common
+    for equation, marks in (("surge", ("X", "T_u")), ("sway", ("Y", "T_v")), ("yaw", ("N", "T_r"))):
+        assert all(name.startswith(marks) for name in under[equation])
