@@ -7,6 +7,7 @@ any time. It uses neither the truth, nor later rows, nor another predictor.
 from __future__ import annotations
 
 import copy
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -397,13 +398,7 @@ class Predictor(ABC):
         doubted : bool
             Whether what the drives do is not known: they are then at the plan's first command.
         """
-        now = copy.deepcopy(self)
-
-        def forecast(plan: Array, dt: float) -> Array:
-            with now.drives_at(plan[0]) if doubted else nullcontext():
-                return now.mean(plan, dt)
-
-        return forecast
+        return functools.partial(_forecast, copy.deepcopy(self), doubted)
 
     def _left_out(self) -> set[str]:
         """Return the constants of the class and its bases, and the constructor's arguments."""
@@ -464,3 +459,9 @@ class Predictor(ABC):
         Prediction
             At the ends of the rows of the plan; always finite.
         """
+
+
+def _forecast(now: Predictor, doubted: bool, plan: Array, dt: float) -> Array:
+    """Do what :meth:`Predictor.forecaster` returns; ``now`` is the predictor of that moment."""
+    with now.drives_at(plan[0]) if doubted else nullcontext():
+        return now.mean(plan, dt)

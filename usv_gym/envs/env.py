@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from usv_gym.envs.config import EnvConfig
+from usv_gym.envs.copying import packed, unpacked
 from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.scoring import N_TERMS, TASK
@@ -122,6 +123,29 @@ class BoatsAtSea:
         # entries of the observations, shown or not
         self._obs_shape = episodes.n, len(names)
         return spaces_of(episodes.width, len(self.observation_names))
+
+    def get_state(self) -> bytes:
+        """Return all that the next steps depend on, generators and twins included.
+
+        Wrappers keep what is theirs, such as the steps that a time limit has counted; copies
+        (``copy.deepcopy``, ``pickle``) hold that as well.
+        """
+        return packed(vars(self))
+
+    def set_state(self, state: bytes) -> None:
+        """Go on from what :meth:`get_state` of this environment, or of a copy, returned."""
+        vars(self).update(unpacked(state))
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Return how a copy is made, for :mod:`copy` and :mod:`pickle`."""
+        return _copied, (type(self), self.get_state())
+
+
+def _copied(kind: type[BoatsAtSea], state: bytes) -> BoatsAtSea:
+    """Return an environment that goes on from a state."""
+    env = kind.__new__(kind)
+    env.set_state(state)
+    return env
 
 
 class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):

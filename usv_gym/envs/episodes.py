@@ -408,7 +408,8 @@ class Episodes:
             )
             for block in self.blocks
         ]
-        self._pool = ThreadPoolExecutor(threads) if min(threads, n) > 1 else None
+        self.threads = threads
+        self._pool = self._threads()
 
     def _kind(self, vessel: Vessel, config: EnvConfig) -> Kind:
         """Return what is particular to a vessel."""
@@ -426,12 +427,17 @@ class Episodes:
         nominal = np.linalg.pinv(_mixing(vessel, config)) @ np.array([share, share, 0.0, 0.0])
         return Kind(vessel, speed, task, nominal, tuple(task.rules["deck"].tolist()))
 
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse to be copied: a copy's arrays would no longer be those that kernels write to."""
-        raise TypeError(
-            "an environment of usv_gym cannot be copied or pickled; make another one, and reset it "
-            "with the same seed"
-        )
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies are made of: threads are no part of it."""
+        return {**vars(self), "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become a copy, with threads of its own."""
+        vars(self).update(state)
+        self._pool = self._threads()
+
+    def _threads(self) -> ThreadPoolExecutor | None:
+        return ThreadPoolExecutor(self.threads) if min(self.threads, self.n) > 1 else None
 
     def close(self) -> None:
         """End the threads."""

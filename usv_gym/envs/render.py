@@ -88,6 +88,17 @@ class Renderer:
             for _ in range(episodes.n)
         ]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies are made of."""
+        if self._window:
+            raise TypeError("an environment with a window cannot be copied; use 'rgb_array'")
+        return {**vars(self), "painter": self.painter.size}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become a copy."""
+        vars(self).update(state)
+        self.painter = Painter(state["painter"])
+
     @classmethod
     def of(
         cls,
