@@ -91,7 +91,7 @@ class Renderer:
     def __getstate__(self) -> dict[str, Any]:
         """Return what copies are made of."""
         if self._window:
-            raise TypeError("an environment with a window cannot be copied; use 'rgb_array'")
+            raise UsvTwinError("an environment with a window cannot be copied; use 'rgb_array'")
         return {**vars(self), "painter": self.painter.size}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
