@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
-from twin.logs.checks import GAP_STEPS, is_gap
-from twin.logs.clock import SORT, set_back, stood_in_gap
+from twin.logs.checks import is_gap
+from twin.logs.clock import GAP_STEPS, SORT, set_back, stood_in_gap, wild_stamps
 from twin.logs.columns import SHARE
 from twin.logs.jumps import find_jumps
-from twin.logs.recording import Recording, wild_stamps
+from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
 from twin.particulars import Particulars
 
@@ -153,8 +153,9 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
         row = int(np.argmax(wild))
         say(
             f"{wild.sum()} stamp(s) are far from all others (row {row + 1}: {stamps[row]:.10g} s)",
-            "the clock was not set there: correct these stamps or remove the rows",
+            "the clock was not set there: correct these stamps; their rows are left out",
             float(wild.sum()),
+            WARNING,
         )
         stamps = stamps[~wild]
     valid = stamps[np.isfinite(stamps)]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.logs.clock import set_back_remedy
+from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
 from twin.logs.jumps import find_jumps
@@ -19,7 +19,6 @@ from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
     "DEGREE",
-    "GAP_STEPS",
     "check_drive",
     "check_measurement",
     "check_turning",
@@ -35,9 +34,6 @@ __all__ = [
 ]
 
 DEGREE = math.pi / 180.0
-
-GAP_STEPS = 5.0
-"""A longer step of time is a gap, in median steps."""
 
 _WHOLE_TURN = 0.35
 """A step this near to whole turns is one of unwrapping, rad."""

@@ -1,15 +1,31 @@
-"""A logger's clock that was set while it ran: back, where time overlaps, or forward, as a gap."""
+"""A logger's clock that was not set, or set while it ran: back, or forward, as a gap."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from twin.logs.columns import Array
 from twin.logs.signals import ENOUGH, white_noise
 
-__all__ = ["SORT", "run_on", "set_back", "set_back_remedy", "stood_in_gap"]
+__all__ = [
+    "GAP_STEPS",
+    "MONTH_S",
+    "SORT",
+    "run_on",
+    "set_back",
+    "set_back_remedy",
+    "stood_in_gap",
+    "wild_stamps",
+]
+
+MONTH_S = 30.0 * 86400.0
+"""A clock that is farther off was not set."""
+
+GAP_STEPS = 5.0
+"""A longer step of time is a gap, in median steps."""
 
 SORT = "sort the rows by time"
 """The remedy for single rows out of order."""
@@ -27,6 +43,38 @@ _SPEED_TIME = 3.0
 _STOOD, _SEEN = 0.5, 6.0
 """Across a gap, a boat went less than this share of the way at its speed, and the way is so many
 times the noise of a fix."""
+
+
+def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
+    """Return which stamps (N,), s, are no times of their log.
+
+    They lie more than a month and the whole log from most others. Or they are few, the clock goes
+    on after them as if they were not there, and where they stand no row is missing.
+    """
+    wild = np.zeros(len(stamps), dtype=np.bool_)
+    rows = np.flatnonzero(np.isfinite(stamps))
+    if len(rows) < ENOUGH:
+        return wild
+    t = stamps[rows]
+    typical = float(np.median(np.abs(np.diff(t))))
+    wild[rows] = np.abs(t - np.median(t)) > max(MONTH_S, len(t) * typical)
+    rows = rows[~wild[rows]]
+    t = stamps[rows]
+    step, order = np.diff(t), np.sort(t)
+    odd = np.flatnonzero((step < 0.0) | (step > GAP_STEPS * typical))
+    edges = [-1, *odd.tolist(), len(step)]
+    for last, k, end, next_one in zip(edges, edges[1:], edges[2:], edges[3:], strict=False):
+        piece = t[k + 1 : end + 1]
+        few = ENOUGH * len(piece) <= min(k - last, next_one - end)
+        there_and_back = (step[k] < 0.0) != (step[end] < 0.0)
+        passed = t[end + 1] - t[k] - typical * (len(piece) + 1)
+        if few and there_and_back and abs(passed) < GAP_STEPS * typical:
+            before = int(np.searchsorted(order, piece.min()))
+            after = int(np.searchsorted(order, piece.max(), "right"))
+            place = order[max(before - 1, 0) : after + 1]
+            fills = len(place) == len(piece) + 2 and np.ptp(place) > typical * (len(piece) + 0.5)
+            wild[rows[k + 1 : end + 1]] = not fills
+    return wild
 
 
 def set_back(stamps: Array) -> list[tuple[int, float]]:

@@ -39,6 +39,7 @@ from twin.logs.checks import (
     held_command,
     stream_end,
 )
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
@@ -265,6 +266,7 @@ class Log:
           becomes NaN, and its velocity too if that repeats as well. So does a repeated compass
           value.
         - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
+        - Rows whose stamps no clock that was set gives are left out.
         - A step of time above 5 times the median is a gap: missing data.
         - Rows of equal time that do not contradict each other become one.
         - An empty command holds the last one.
@@ -432,6 +434,7 @@ def assemble(table: Table) -> Log:
         Where they cannot be used.
     """
     notes = table.notes
+    _leave_out_wild(table)
     _merge_equal_times(table)
     names = table.data
 
@@ -501,6 +504,21 @@ def assemble(table: Table) -> Log:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
     return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth, commands_end)
+
+
+def _leave_out_wild(table: Table) -> None:
+    """Leave out rows whose stamps are no times of the log."""
+    wild = wild_stamps(table.data[TIME])
+    if not wild.any():
+        return
+    rows, line = np.flatnonzero(~wild), table.line
+    first = int(np.argmax(wild))
+    table.notes.append(
+        f"t_s: {wild.sum()} of {len(wild)} rows left out, for their stamps are far from all others "
+        f"({line(first)}: {table.data[TIME][first]:.10g} s): the clock was not set there"
+    )
+    table.data = {name: values[rows] for name, values in table.data.items()}
+    table.line = lambda row: line(int(rows[row]))
 
 
 def _merge_equal_times(table: Table) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import TIME
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array, Entry
 from twin.logs.dates import Clock, Midnight, past_midnight
 from twin.logs.datum import Plane
@@ -179,6 +180,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
     place = raw.pop(_PLACE)
+    if epoch == epoch:  # the first row may come before the clock was set
+        clocked = raw[timed.sources[0]]
+        known = np.flatnonzero(np.isfinite(clocked) & ~wild_stamps(clocked))
+        begin = float(clocked[known[0]]) if len(known) else 0.0
+        epoch, raw[timed.sources[0]] = epoch + begin, clocked - begin
     notes = [f"{void} row(s) without a single value left out"] if void else []
     if isinstance(file, CsvFile) and file.torn:
         notes.append("the last line is cut off, and left out")
@@ -211,8 +217,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     def line(row: int) -> str:
         return f"{file.unit} {int(place[row])}"
 
-    known = None if math.isnan(epoch) else epoch
-    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, known)
+    date = None if math.isnan(epoch) else epoch
+    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, date)
 
 
 def _only(timed: Entry, data: Mapping[str, Array]) -> Array:

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
-from twin.logs.clock import run_on
+from twin.logs.clock import run_on, wild_stamps
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
 from twin.logs.readers import merged
-from twin.logs.signals import ENOUGH
 
 __all__ = [
     "Recording",
@@ -22,12 +21,7 @@ __all__ = [
     "equal_times",
     "held",
     "repeated",
-    "wild_stamps",
 ]
-
-
-MONTH_S = 30.0 * 86400.0
-"""A clock that is farther off was not set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,15 +126,6 @@ class Recording:
         elif columns[0] == 5:
             new &= ~(repeated(values) & repeated(self.z[:, 4:5]))
         return self.t[new], values[new]
-
-
-def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
-    """Return which stamps (N,), s, lie more than a month and the whole log from most others."""
-    known = stamps[np.isfinite(stamps)]
-    if len(known) < ENOUGH:
-        return np.zeros(len(stamps), dtype=np.bool_)
-    most = max(MONTH_S, len(known) * float(np.median(np.abs(np.diff(known)))))
-    return np.asarray(np.abs(stamps - np.median(known)) > most, dtype=np.bool_)
 
 
 class EqualTimes(NamedTuple):

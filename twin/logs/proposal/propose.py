@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.checks import in_degrees
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
 from twin.logs.proposal.agreement import Agreement, gyro_on_compass, velocity_on_fixes
 from twin.logs.proposal.commands import find_commands, find_pulses
@@ -111,7 +112,15 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
         two = f"from = [{json.dumps(date[0])}, {json.dumps(clock)}]"
         line = line.replace(f"from = {json.dumps(clock, ensure_ascii=False)}", two)
     add_line(found, "columns", line)
-    return time.seconds
+    wild = np.zeros(0) if time.seconds is None else wild_stamps(time.seconds)
+    if time.seconds is None or not wild.any():
+        return time.seconds
+    row = int(np.argmax(wild))
+    found.questions.append(
+        f"{clock}: {wild.sum()} stamp(s) are far from all others (row {row + 1}: "
+        f"{columns.text[clock][row].strip()}): the clock was not set there, their rows are left out"
+    )
+    return np.where(wild, np.nan, time.seconds)
 
 
 _OTHER_NAMES = {"wind_true_mps": "wind_mps", "wind_true_from_rad": "wind_from_rad"}

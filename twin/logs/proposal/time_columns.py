@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array
 from twin.logs.dates import (
     ZONES,
@@ -224,4 +225,4 @@ def _time_unit(values: Array) -> str:
 
 
 def _known(values: Array) -> Array:
-    return values[np.isfinite(values)]
+    return values[np.isfinite(values) & ~wild_stamps(values)]

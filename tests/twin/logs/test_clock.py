@@ -1,0 +1,118 @@
+"""Clocks that were not set, were set while they ran, or count coarsely: named, and read right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from twin.cli.main import app
+from twin.digital_twin import Twin, TwinError
+from twin.integrity.evidence import GRID_POINTS, signals_of
+from twin.integrity.log_check import check_log
+from twin.integrity.rows import MANY
+from twin.logs.clock import wild_stamps
+from twin.logs.log import Log
+from twin.logs.recording import Recording
+
+START, ROWS, STEP = datetime(2024, 4, 5, 11, 58), 600, 0.2
+
+
+def write(path: Path, cells: Callable[[int], str], rows: int = ROWS, step: float = STEP) -> Path:
+    """Write a log of a boat in circles; ``cells`` returns the time of a row as text."""
+    lines = ["time,lat,lon,heading_deg,n_left_rps,n_right_rps"]
+    for k in range(rows):
+        course = 0.05 * step * k
+        lat = 59.9 + 40.0 * math.sin(course) / 111_400.0
+        lon = 10.7 - 40.0 * math.cos(course) / 55_900.0
+        heading = math.degrees(course) % 360.0
+        lines.append(f"{cells(k)},{lat:.8f},{lon:.8f},{heading:.2f},{5.0 + 1e-3 * (k % 7)},8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def mapped(path: Path) -> tuple[Log, str]:
+    """Return the log by the mapping that is proposed for it, and what was said of it."""
+    result = CliRunner().invoke(app, ["mapping", str(path)])
+    assert result.exit_code == 0, result.output
+    return Log.read(path), " ".join(result.output.split())
+
+
+def serious(path: Path) -> list[str]:
+    return [each.text for each in check_log(path).findings if each.severity != "note"]
+
+
+def date(k: int, start: datetime = START) -> str:
+    return f"{start + timedelta(seconds=STEP * k):%Y-%m-%d %H:%M:%S.%f}"
+
+
+# --- stamps of a clock that was not set ---------------------------------------------------------
+
+UNSET: dict[str, tuple[Callable[[int], str], int]] = {
+    "a counter's largest number": (lambda k: "4294967.295" if k == 300 else f"{STEP * k:.2f}", 1),
+    "zeros": (lambda k: "0" if k % 100 == 50 else f"{1.7e9 + STEP * k:.2f}", 6),
+    "an hour within minutes": (lambda k: f"{STEP * k + 3600 * (k == 300):.2f}", 1),
+    "a second of the log again": (lambda k: f"{80.0 if k == 300 else STEP * k:.2f}", 1),
+    "1970 until the first fix": (lambda k: date(k, datetime(1970, 1, 1) if k < 40 else START), 40),
+    "the maker's date until then": (
+        lambda k: date(k, datetime(2024, 1, 1) if k < 40 else START),
+        40,
+    ),
+    "a date from afar": (lambda k: date(k, datetime(2070, 1, 1) if k == 99 else START), 1),
+}
+
+
+@pytest.mark.parametrize("name", UNSET)
+def test_stamps_of_a_clock_that_was_not_set_cost_their_rows_and_are_named(
+    tmp_path: Path, name: str
+) -> None:
+    cells, lost = UNSET[name]
+    path = write(tmp_path / "a.csv", cells)
+    log, said = mapped(path)
+    assert f"{lost} stamp(s) are far from all others" in said
+    assert len(log) == ROWS - lost
+    assert log.t[-1] - log.t[0] < STEP * ROWS
+    if log.datum is not None and log.datum.epoch is not None and "zeros" not in name:
+        dates = log.datum.utc(log.t[:1])
+        assert dates is not None and str(dates[0]).startswith("2024-04-05T11:58")
+    assert any(f"{lost} of {ROWS} rows left out" in note for note in log.notes)
+    assert serious(path)[0].startswith(f"{lost} stamp(s) are far from all others")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: t[np.r_[0:300, 301, 300, 302:600]],  # two rows exchanged
+        lambda t: np.insert(np.delete(t, 300), 400, t[300]),  # one written late
+        lambda t: np.where(np.arange(600) < 300, t, t - 2.0),  # a clock set back
+        lambda t: t + 7200.0 * (np.arange(600) > 300),  # a pause
+        lambda t: np.floor(t),
+    ],
+)
+def test_other_troubles_of_time_are_no_stamps_of_an_unset_clock(
+    change: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    assert not wild_stamps(change(STEP * np.arange(600.0))).any()
+
+
+def test_a_pause_of_weeks_costs_no_points_of_the_grid() -> None:
+    """What is compared lies on both sides of it, at the step of the rows."""
+    t = STEP * np.arange(600.0) + 1.5e6 * (np.arange(600) >= 300)
+    signals = signals_of(Recording.of({"t_s": t, "compass_rad": np.sin(0.1 * t)}, {}, "log"))
+    assert signals is not None
+    assert signals.step == pytest.approx(STEP) and MANY < len(signals.t) < GRID_POINTS / 10
+
+
+def test_on_board_a_row_of_another_month_is_refused_and_costs_nothing(boat) -> None:
+    twin = Twin(boat)
+    z, cmd = np.full(19, np.nan), np.zeros(4)
+    twin.step(0.0, z, cmd)
+    with pytest.raises(TwinError, match="a clock that was not set"):
+        twin.step(1.7e9, z, cmd)
+    twin.step(0.1, z, cmd)
+    assert twin.t == 0.1
