@@ -8,13 +8,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT
+from twin.channels import COMMANDS, MEASUREMENTS, WIND_SPEED
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.checks import is_gap
 from twin.logs.clock import GAP_STEPS, SORT, set_back, stood_in_gap, wild_stamps
 from twin.logs.columns import SHARE
 from twin.logs.jumps import find_jumps
-from twin.logs.recording import Recording
+from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
 from twin.particulars import Particulars
 
@@ -25,6 +25,7 @@ __all__ = [
     "GYROS",
     "HUGE",
     "MANY",
+    "OPTIONAL",
     "SENSORS",
     "VELOCITY",
     "check_cells",
@@ -59,6 +60,9 @@ SENSORS: dict[str, tuple[str, ...]] = {
     "vertical speed": ("gps_vz_mps",),
 }
 """Sensors and the columns that come together."""
+
+OPTIONAL = {*MEASUREMENTS[WIND_SPEED:], "AHRS", "ahrs", "height", "climb", "vertical speed", "wind"}
+"""Sensors and columns that tell wind, roll, pitch and heave: a twin does without them."""
 
 MANY = 3 * ENOUGH
 """Fewer samples than this tell no motion."""
@@ -126,9 +130,7 @@ def check_time(recording: Recording) -> list[Finding]:
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
     spread = robust_sd(step[~gap])
     if spread > JITTER * median:
-        what = f"the stamps of the rows jitter: steps of {median:.3g} s spread by {spread:.2g} s"
-        remedy = "stamp samples when they are taken, not when they are written"
-        found.append(Finding(WARNING, "jitter", what, remedy, "time", spread))
+        found += _jitter(recording, median, spread)
     along, across, speed = fix_scatter(*recording.samples(*FIX))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
@@ -139,6 +141,29 @@ def check_time(recording: Recording) -> list[Finding]:
         remedy = f"log the time that the receiver states, or set gps_sd to {along:.2g} or more"
         found.append(Finding(WARNING, "jitter", what, remedy, "fix", late))
     return found
+
+
+def _jitter(recording: Recording, median: float, spread: float) -> list[Finding]:
+    """Return a finding where the stamps of samples jitter, of all sensors or some.
+
+    Rows that only hold the samples of several regular sensors are as irregular as their union.
+    """
+    uneven, even = [], []
+    for sensor, names in SENSORS.items():
+        values = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
+        given = np.isfinite(values).all(axis=1)
+        # rows may hold the last sample until the next one
+        times = recording.t[given], recording.t[given & ~repeated(values)]
+        steps = [np.diff(t) for t in times if len(t) > ENOUGH]
+        jitters = [robust_sd(step) / float(np.median(step)) for step in steps]
+        if jitters:
+            (uneven if min(jitters) > JITTER else even).append(sensor)
+    if even and not uneven:
+        return []
+    whose = ", ".join(uneven) if even else "the rows"
+    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {spread:.2g} s"
+    remedy = "stamp samples when they are taken, not when they are written"
+    return [Finding(WARNING, "jitter", what, remedy, "time", spread)]
 
 
 def _order(stamps: Array, clashes: int) -> list[Finding]:
@@ -230,7 +255,7 @@ def check_cells(recording: Recording) -> list[Finding]:
         what = f"{empty} of {len(recording.t)} rows come before the first command"
         remedy = "fill in the commands in force, or remove these rows"
         found.append(Finding(WARNING, "missing", what, remedy, "commands"))
-    for j, (name, values) in enumerate(zip(MEASUREMENTS, recording.z.T, strict=True)):
+    for name, values in zip(MEASUREMENTS, recording.z.T, strict=True):
         given, count = recording.called(name), int(np.isfinite(values).sum())
         if name in ("gps_x_m", "compass_rad") and count < ENOUGH:
             what = f"{given}: {count} samples"
@@ -238,7 +263,9 @@ def check_cells(recording: Recording) -> list[Finding]:
         if is_dead(values):
             what = f"{given}: all {count} values are {np.nanmax(values):.6g}"
             remedy = "a dead sensor: empty its cells or remove the column"
-            severity = ERROR if j < MOTION_AT else WARNING
+            if name in OPTIONAL:
+                remedy = "the twin does without it"
+            severity = NOTE if name in OPTIONAL else ERROR
             found.append(Finding(severity, "dead", what, remedy, name))
     return found
 

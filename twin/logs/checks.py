@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.channels import MEASUREMENTS, WIND_SPEED
 from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
@@ -113,7 +113,7 @@ def stream_end(t: Array, commands: Array, notes: list[str]) -> float:
 
 
 def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
-    """Refuse a dead sensor, leave out a dead axis of roll, pitch or heave, note what is missing."""
+    """Refuse a dead sensor, or leave out one of wind, roll, pitch, heave; note what is missing."""
     rows, given = len(values), table.given[name]
     valid = ~np.isnan(values)
     count = int(valid.sum())
@@ -122,10 +122,10 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         return
     samples = values[valid]
     dead = count >= ENOUGH and (samples == samples[0]).all()
-    if dead and name in MEASUREMENTS[MOTION_AT:]:
+    if dead and name in MEASUREMENTS[WIND_SPEED:]:
         values[:] = np.nan
         table.notes.append(
-            f"{given}: all {count} values are equal, as of a dead axis; taken as never measured"
+            f"{given}: all {count} values are equal, as of a dead sensor; taken as never measured"
         )
         return
     if dead:
