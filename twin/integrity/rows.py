@@ -148,7 +148,7 @@ def _jitter(recording: Recording, median: float, spread: float) -> list[Finding]
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
     """
-    uneven, even = [], []
+    uneven, even = list[str](), list[str]()
     for sensor, names in SENSORS.items():
         values = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
         given = np.isfinite(values).all(axis=1)

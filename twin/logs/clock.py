@@ -53,7 +53,7 @@ def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
     """
     wild = np.zeros(len(stamps), dtype=np.bool_)
     rows = np.flatnonzero(np.isfinite(stamps))
-    if len(rows) < ENOUGH:
+    if len(rows) < 3 * ENOUGH:
         return wild
     t = stamps[rows]
     typical = float(np.median(np.abs(np.diff(t))))

@@ -24,6 +24,7 @@ __all__ = [
     "CsvFile",
     "as_numbers",
     "cannot_be_read",
+    "hemispheres",
     "is_number",
     "number_of",
     "shorten",
@@ -42,6 +43,9 @@ _REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
 
 _LOOK = 1000
 """First rows in which a surplus cell is refused where all columns are looked at."""
+
+SIDES = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
+"""First letters of the hemispheres that a column of their own may name, and their signs."""
 
 Block = tuple[Array, dict[str, Array], set[str]]
 """Number of each row in the file, the columns, and which of them were dates."""
@@ -101,6 +105,8 @@ def as_numbers(
             numbers[name] = np.full(len(cells), math.nan)  # read with the time of day
             continue
         values = clock.seconds(texts) if name == clock.column else _numbers_of(cells)
+        if None in values and name != clock.column and (sides := hemispheres(cells)):
+            values = sides
         if None in values and (wrong is None or values.index(None) < wrong[0]):
             wrong = values.index(None), name
         numbers[name] = np.array(values, dtype=np.float64)
@@ -119,6 +125,14 @@ def as_numbers(
             f"not a {what}; correct it, or {remedy}"
         )
     return numbers
+
+
+def hemispheres(cells: Sequence[str]) -> list[float | None]:
+    """Return the signs of hemispheres, NaN of empty cells; nothing where there is other text."""
+    words = [cell.strip().upper() for cell in cells]
+    if not all(re.fullmatch("(N(ORTH)?|S(OUTH)?|E(AST)?|W(EST)?)?", word) for word in words):
+        return []
+    return [SIDES[word[0]] if word else math.nan for word in words]
 
 
 class CsvFile:

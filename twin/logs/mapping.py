@@ -13,8 +13,8 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     delta_left_rad = 0.0                            # a constant
 
     [position]                                      # latitude, longitude (degrees) -> metres
-    latitude = "lat"
-    longitude = "lon"
+    latitude = "lat"                                # each also as { from = "lat", scale = -1.0 },
+    longitude = "lon"                               # or with hemisphere = "E/W", a column
     datum = [38.86580, 121.53438]                   # left out: the first fix
     scale = 1e-7                                    # of latitude and longitude, to degrees
 
@@ -350,18 +350,35 @@ class _Parser:
                 raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
             datum = tuple(self.number("[position] datum", value) for value in datum)
             Datum(latitude=datum[0], longitude=datum[1])  # refuses what is no place on Earth
-        position = _Position(None if datum is None else Plane(*datum), self.source, scale)
-        names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
+        parts = [self.angle(key, table.get(key, key)) for key in ("latitude", "longitude")]
         topic = self.text("[position]", table, "topic", "")
+        names = [part[0] for part in parts] + (["status.status?"] if topic else [])
+        plane = None if datum is None else Plane(*datum)
+        scales = scale * parts[0][2], scale * parts[1][2]
+        sided = bool(parts[0][1]), bool(parts[1][1])
+        position = _Position(plane, self.source, scales, sided)
         return Entry(
             ("gps_x_m", "gps_y_m"),
-            (*names, *(("status.status?",) if topic else ())),
+            (*names, *(part[1] for part in parts if part[1])),
             position,
             topic,
             "gps_x_m, gps_y_m: metres north and east of "
             + (f"latitude {datum[0]}, longitude {datum[1]}" if datum else "the first fix"),
             plane=position.plane,
         )
+
+    def angle(self, key: str, given: Any) -> tuple[str, str, float]:
+        """Return the sources of a latitude or longitude and of its hemisphere, and its factor."""
+        where = f"[position] {key}"
+        table = self.known(
+            where,
+            {"from": given} if isinstance(given, str) else given,
+            ("from", "hemisphere", "scale"),
+        )
+        name, side = (self.text(where, table, part, "") for part in ("from", "hemisphere"))
+        if not name:
+            raise self.fail(where, 'needs from = "column of the file"')
+        return name, side, self.number(f"{where} scale", table.get("scale", 1.0))
 
     def datum(self, given: Any) -> Entry:
         table = self.known("[datum]", given, ("latitude", "longitude"))
@@ -473,10 +490,16 @@ class _Position:
 
     datum: Plane | None
     source: str
-    scale: float = 1.0  # to degrees
+    scales: tuple[float, float]  # of each, to degrees
+    sided: tuple[bool, bool]  # whether each has a hemisphere, in the last sources
 
     def _degrees(self, values: Sequence[Array]) -> list[Array]:
-        return [self.scale * values[0], self.scale * values[1], *values[2:]]
+        """Return latitude, longitude and status, if there is one."""
+        count = len(values) - sum(self.sided)
+        sides, both = iter(values[count:]), []
+        for angle, scale, sided in zip(values[:2], self.scales, self.sided, strict=True):
+            both.append(scale * (np.abs(angle) * next(sides) if sided else angle))
+        return [*both, *values[2:count]]
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
         values = self._degrees(values)

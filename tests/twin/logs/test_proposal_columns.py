@@ -162,3 +162,48 @@ def test_cells_without_a_value_hide_no_column(tmp_path: Path, cell: str) -> None
 
     _, log = mapped(write(tmp_path / "a.csv", boat(), holes))
     assert np.isfinite(log.z[:, 0]).sum() == ROWS - len(range(2, ROWS, 4))
+
+
+HEMISPHERES = {
+    # signs of latitude and longitude, and what the columns say
+    "north and west": (1.0, -1.0, "N", "W"),
+    "south and east": (-1.0, 1.0, "South", "east"),
+    "south and west": (-1.0, -1.0, "s", "w"),
+}
+
+
+@pytest.mark.parametrize("name", HEMISPHERES)
+@pytest.mark.parametrize("unsigned", [True, False])
+def test_columns_of_hemispheres_are_read(tmp_path: Path, name: str, unsigned: bool) -> None:
+    north, east, *letters = HEMISPHERES[name]
+    lines = ["time,LATITUDE,N/S,LONGITUDE,E/W,heading_deg,n_left_rps,n_right_rps"]
+    for k in range(200):
+        lat, lon = north * 41.5 + 1e-5 * k, east * 70.6 + 2e-5 * k
+        if unsigned:
+            lat, lon = abs(lat), abs(lon)
+        lines.append(
+            f"{0.2 * k:.1f},{lat:.7f},{letters[0]},{lon:.7f},{letters[1]},{60 + k % 5},5,{k % 7}"
+        )
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    assert 'hemisphere = "N/S"' in (tmp_path / "a.mapping.toml").read_text()
+    log = Log.read(path)
+    assert log.datum is not None
+    assert (log.datum.latitude, log.datum.longitude) == (north * 41.5, east * 70.6)
+    assert log.z[-1, 0] > 200.0 and log.z[-1, 1] > 300.0
+
+
+def test_a_mapping_scales_longitude_alone(tmp_path: Path) -> None:
+    rows = [f"{0.2 * k:.1f},{41.5 + 1e-5 * k:.7f},{70.6 - 1e-5 * k:.7f},{k % 9}" for k in range(50)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t_s,lat,lon,compass_deg", *rows]) + "\n")
+    mapping = tmp_path / "a.mapping.toml"
+    text = '[columns]\nn_rps = 1.0\ndelta_rad = 0.0\n[position]\nlatitude = "lat"\nlongitude = '
+    mapping.write_text(text + '{ from = "lon", scale = -1.0 }\n')
+    log = Log.read(path)
+    assert log.datum is not None and log.datum.longitude == -70.6
+    assert log.z[-1, 1] > 30.0
+    mapping.write_text(text + '{ from = "lon", unit = "deg" }\n')
+    with pytest.raises(LogError, match="unknown key 'unit'"):
+        Log.read(path)
