@@ -11,7 +11,7 @@ import numpy.typing as npt
 from twin.channels import COMMANDS, MEASUREMENTS, WIND_SPEED
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.checks import is_gap
-from twin.logs.clock import GAP_STEPS, SORT, set_back, stood_in_gap, wild_stamps
+from twin.logs.clock import GAP_STEPS, HOUR_S, order_remedy, set_back, stood_in_gap, wild_stamps
 from twin.logs.columns import SHARE
 from twin.logs.jumps import find_jumps
 from twin.logs.recording import Recording, repeated
@@ -70,8 +70,6 @@ MANY = 3 * ENOUGH
 ROWS_S = 5.0
 """Rows that are farther apart, in the median, hardly count seconds."""
 
-HOUR_S = 3600.0
-
 JITTER = 0.05
 """Steps of time that spread by more of the median jitter."""
 
@@ -107,7 +105,7 @@ SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
 def check_time(recording: Recording) -> list[Finding]:
     """Return what is wrong with the stamps of the rows, and with those of the fixes."""
     t = recording.t
-    found = _order(recording.stamps, recording.clashes)
+    found = _order(recording.stamps, recording.motion, recording.clashes)
     if len(t) < ENOUGH:
         return found
     step = np.diff(t)
@@ -166,7 +164,7 @@ def _jitter(recording: Recording, median: float, spread: float) -> list[Finding]
     return [Finding(WARNING, "jitter", what, remedy, "time", spread)]
 
 
-def _order(stamps: Array, clashes: int) -> list[Finding]:
+def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
     """Return findings about times that are wild, empty, equal or go back."""
     found = []
 
@@ -183,6 +181,7 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
             WARNING,
         )
         stamps = stamps[~wild]
+        motion = None if motion is None else motion[~wild]
     valid = stamps[np.isfinite(stamps)]
     empty, step = len(stamps) - len(valid), np.diff(valid)
     if empty:
@@ -190,15 +189,15 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
         say(what, "fill in the time or remove these rows", float(empty))
     back = step < 0.0
     if back.any():
-        row, size, steps = int(np.argmin(step)), -float(step.min()), set_back(stamps)
+        size, steps = -float(step.min()), set_back(stamps, motion)
         what = f"time goes back {back.sum()} time(s), by up to {size:.3g} s"
-        remedy = f"{SORT}, or cut the log where it starts again"
+        remedy = "" if steps else order_remedy(stamps, motion)
         if steps:
             row, size = max(steps, key=lambda each: each[1])
             what = f"the clock was set back by {size:.2f} s in row {row + 1}"
             remedy = f"add {size:.2f} s to all later stamps; the rest is checked as if they had it"
-        if abs(size - HOUR_S) < GAP_STEPS * abs(float(np.median(step))):
-            what += ": an hour, as local time is; the clock of the rows is not UTC"
+        if size % HOUR_S == 0.0:
+            what += f": {size / HOUR_S:g} h, as local time is; the clock of the rows is not UTC"
         say(what, remedy, size)
     equal = int((step == 0.0).sum())
     if equal:

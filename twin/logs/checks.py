@@ -13,7 +13,7 @@ from twin.logs.columns import Array
 from twin.logs.errors import LogError
 from twin.logs.jumps import find_jumps
 from twin.logs.readers import Table
-from twin.logs.recording import held, repeated
+from twin.logs.recording import held, motion_of, repeated
 from twin.logs.signals import ENOUGH, integrated
 from usv_kernel.channels import COMPASS, GYRO
 
@@ -62,7 +62,7 @@ def checked_time(t: Array, table: Table) -> Array:
     step = np.diff(t)
     if (step <= 0.0).any():
         row = int(np.argmax(step <= 0.0)) + 1
-        remedy = set_back_remedy(t)
+        remedy = set_back_remedy(t, motion_of(table.data))
         if step[row - 1] == 0.0:
             remedy = "record fractions of a second, or keep one row of each time"
         raise LogError(

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import EMPTY, Array
-from twin.logs.dates import Clock
+from twin.logs.dates import Clock, with_zeros
 from twin.logs.errors import LogError
 
 __all__ = [
@@ -147,6 +147,7 @@ class CsvFile:
 
     def __init__(self, path: Path) -> None:
         self.path, self.source, self.torn = path, str(path), False
+        self.zeros = ""  # column of times whose fractions of a second lack zeros in front
         try:
             with path.open("rb") as file:
                 self.packed = file.read(2) == b"\x1f\x8b"
@@ -199,6 +200,8 @@ class CsvFile:
                 columns = self._cells(text, first, wanted)
                 lines = np.arange(first, first + len(columns[0]), dtype=np.float64)
                 named = dict(zip((self.header[j] for j in wanted), columns, strict=True))
+                if self.zeros:
+                    named[self.zeros] = with_zeros(named[self.zeros])
                 numbers = as_numbers(named, clock, lines, self.source, self.unit)
                 yield lines, numbers, {clock.column} & set(numbers)
                 first += text.count(b"\n")

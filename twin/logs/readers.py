@@ -18,7 +18,7 @@ import numpy.typing as npt
 from twin.channels import TIME
 from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array, Entry
-from twin.logs.dates import Clock, Midnight, past_midnight
+from twin.logs.dates import Clock, Midnight, lack_zeros, past_midnight
 from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile
@@ -179,6 +179,17 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     parts.clear()
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
+    clocked = _only(timed, raw)
+    if isinstance(file, CsvFile) and not file.zeros and (np.diff(clocked) < 0.0).any():
+        file.zeros = timed.sources[0]
+        again = gathered(file, entries, layout)
+        if lack_zeros(clocked, again.data[TIME]):
+            again.notes.append(
+                f"t_s: time goes back {(np.diff(clocked) < 0.0).sum()} times unless the fractions "
+                f"of {file.zeros} lack zeros in front (.5 for .005); read so"
+            )
+            return again
+        file.zeros = ""
     place = raw.pop(_PLACE)
     if epoch == epoch:  # the first row may come before the clock was set
         clocked = raw[timed.sources[0]]

@@ -14,12 +14,14 @@ from twin.logs.clock import run_on, wild_stamps
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
 from twin.logs.readers import merged
+from usv_kernel.channels import COMPASS
 
 __all__ = [
     "Recording",
     "clashing_rows",
     "equal_times",
     "held",
+    "motion_of",
     "repeated",
 ]
 
@@ -48,6 +50,8 @@ class Recording:
         Rows with the time of the row before and other values.
     plane : Plane, optional
         On which positions are measured, where the file has latitude and longitude.
+    motion : ndarray, shape (M, 3), optional
+        Positions and headings of all rows, also of those whose time does not advance.
     """
 
     t: Array
@@ -59,6 +63,7 @@ class Recording:
     infinite: int = 0
     clashes: int = 0
     plane: Plane | None = None
+    motion: Array | None = None
 
     @classmethod
     def of(
@@ -83,7 +88,8 @@ class Recording:
         """
         stamps = np.asarray(data[TIME], dtype=np.float64)
         # a step of the clock makes no sensor jump
-        times = run_on(np.where(wild_stamps(stamps), np.nan, stamps))
+        motion = motion_of(data)
+        times = run_on(np.where(wild_stamps(stamps), np.nan, stamps), motion)
         valid = np.isfinite(times)
         latest = np.maximum.accumulate(np.where(valid, times, -np.inf))
         kept = valid & (times > np.append(-np.inf, latest[:-1]))
@@ -101,7 +107,8 @@ class Recording:
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
         clashes = clashing_rows(data)
-        return cls(times[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
+        more = infinite, clashes, plane, motion
+        return cls(times[kept], z, cmd, stamps, dict(given), name, *more)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""
@@ -126,6 +133,14 @@ class Recording:
         elif columns[0] == 5:
             new &= ~(repeated(values) & repeated(self.z[:, 4:5]))
         return self.t[new], values[new]
+
+
+def motion_of(data: Mapping[str, Array]) -> Array | None:
+    """Return positions and headings (N, 3) in columns of a log, if they are there."""
+    names = (*MEASUREMENTS[:2], MEASUREMENTS[COMPASS])
+    if not all(name in data for name in names):
+        return None
+    return np.column_stack([np.asarray(data[name], np.float64) for name in names])
 
 
 class EqualTimes(NamedTuple):

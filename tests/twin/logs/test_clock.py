@@ -17,6 +17,7 @@ from twin.integrity.evidence import GRID_POINTS, signals_of
 from twin.integrity.log_check import check_log
 from twin.integrity.rows import MANY
 from twin.logs.clock import wild_stamps
+from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.recording import Recording
 
@@ -116,3 +117,73 @@ def test_on_board_a_row_of_another_month_is_refused_and_costs_nothing(boat) -> N
         twin.step(1.7e9, z, cmd)
     twin.step(0.1, z, cmd)
     assert twin.t == 0.1
+
+
+# --- times that go back: what explains it, and is tried before it is proposed --------------------
+
+
+def bare(k: int, unit: int) -> str:
+    """Return the time of a row in seconds, a point, and milliseconds or nanoseconds as counted."""
+    part = round((STEP * k) % 1.0 * 1000) % 1000
+    return f"{int(STEP * k + 1e-6)}.{part * unit + 28 * unit // 1000 if unit > 1 else part + 7}"
+
+
+LACKING = {
+    "milliseconds": lambda k: bare(k, 1),
+    "of 1970": lambda k: f"{1_700_000_000 + int(STEP * k + 1e-6)}.{bare(k, 1).split('.')[1]}",
+    "nanoseconds of dates": lambda k: (
+        f"{START + timedelta(seconds=int(STEP * k + 1e-6)):%Y/%m/%d %H:%M:%S}."
+        f"{bare(k, 10**6).split('.')[1]}"
+    ),
+    "days first": lambda k: (
+        f"{START + timedelta(seconds=int(STEP * k + 1e-6)):%d.%m.%Y %H:%M:%S}."
+        f"{bare(k, 1).split('.')[1]}"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LACKING)
+def test_fractions_without_zeros_are_read_as_what_they_count(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path / "a.csv", LACKING[name])
+    options = ["--dates", "day-first"] if name == "days first" else []
+    result = CliRunner().invoke(app, ["mapping", str(path), *options])
+    assert result.exit_code == 0 and "lack zeros in front" in " ".join(result.output.split())
+    log = Log.read(path)
+    assert len(log) == ROWS and np.diff(log.t) == pytest.approx(STEP, abs=2e-6)
+    assert any("lack zeros in front" in note for note in log.notes)
+    assert serious(path) == []
+
+
+@pytest.mark.parametrize("digits", [1, 2, 3])
+def test_fractions_that_only_drop_zeros_at_the_end_stay(tmp_path: Path, digits: int) -> None:
+    path = write(tmp_path / "a.csv", lambda k: f"{round(STEP * k, digits)!r}")
+    assert np.diff(mapped(path)[0].t) == pytest.approx(STEP)
+
+
+@pytest.mark.parametrize("back", [40.0, 1800.0, 3600.0, 7200.0])
+def test_a_clock_set_back_is_named_whatever_the_rows_before(tmp_path: Path, back: float) -> None:
+    path = write(tmp_path / "a.csv", lambda k: f"{9000.0 + STEP * k - back * (k >= 150):.2f}")
+    result = CliRunner().invoke(app, ["mapping", str(path)])
+    mapping = path.with_name("a.mapping.toml")
+    if "t_s = " not in mapping.read_text().replace("# t_s", ""):
+        mapping.write_text(mapping.read_text().replace("[columns]", '[columns]\nt_s = "time"'))
+    assert result.exit_code == 0
+    found = [each for each in check_log(path).findings if each.code == "time"]
+    assert [each.size for each in found] == [pytest.approx(back)]
+    assert f"set back by {back:.2f} s in row 151" in found[0].what
+    assert ("local time" in found[0].what) == (back % 3600.0 == 0.0)
+    with pytest.raises(LogError, match=f"the clock was set back: add {back:g} s"):
+        Log.read(path)
+
+
+def test_rows_are_to_be_sorted_only_where_that_brings_them_in_order(tmp_path: Path) -> None:
+    head = '[columns]\nt_s = "time"\ncompass_rad = { from = "heading_deg", unit = "deg" }\n'
+    head += 'delta_rad = 0.0\n[position]\nlatitude = "lat"\nlongitude = "lon"\n'
+    (tmp_path / "a.mapping.toml").write_text(head)
+    path = write(tmp_path / "a.csv", lambda k: f"{STEP * k:.2f}")
+    names, *rows = path.read_text().splitlines()
+    order = np.argsort(np.arange(ROWS) + np.random.default_rng(1).uniform(0, 12, ROWS))
+    path.write_text("\n".join([names, *(rows[k] for k in order)]) + "\n")
+    assert "sort the rows by time" in serious(path)[0]
+    path.write_text("\n".join([names, *rows, *rows[100:]]) + "\n")
+    assert "sort" not in serious(path)[0] and "cut the log" in serious(path)[0]

@@ -20,8 +20,11 @@ from twin.logs.dates import (
     is_day,
     is_time_of_day,
     joined,
+    lack_zeros,
     padded,
+    with_zeros,
 )
+from twin.logs.files import number_of
 from twin.logs.proposal.header_words import NAMES, means, unit_of
 
 __all__ = ["TimeColumns", "find_time"]
@@ -33,6 +36,10 @@ _DAY = 86400.0
 _DAY_STEP, _DAY_LEAST = 5e-4, 2e4
 """Numbers above the second that rise by less than the first are days, not seconds: no log has 2000
 rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
+
+
+_MOSTLY = 0.9
+"""A column of the name of a time is one where this share of its steps rises."""
 
 
 @dataclass
@@ -98,6 +105,9 @@ def find_time(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
                 'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
             )
+    for name in set(named) & set(numbers):
+        filled = np.array([number_of(cell) for cell in with_zeros(text[name])], dtype=np.float64)
+        numbers = {**numbers, name: _whole(found, name, numbers[name], filled)}
     return _counted(found, numbers, left, named)
 
 
@@ -175,8 +185,16 @@ def _dated(
     elif not re.search(r"%#?z|UTC$|GMT$", form) and "%d" in (form or "%d"):
         stated = not form and re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", example)
         found.why = "" if stated else "dates without a zone count as UTC"
-    found.seconds = dates(cells, form)
+    found.seconds = _whole(found, title, dates(cells, form), dates(with_zeros(cells), form))
     return found
+
+
+def _whole(found: TimeColumns, title: str, seconds: Array, filled: Array) -> Array:
+    """Return times, with zeros in front of their fractions where these lack them."""
+    if not lack_zeros(seconds, filled):
+        return seconds
+    found.questions.append(f"{title}: fractions of a second lack zeros in front, and are read so")
+    return filled
 
 
 def _counted(
@@ -185,6 +203,9 @@ def _counted(
     """Return the time of a column of numbers that rise."""
     there = [name for name in left if name in numbers]
     rising = [name for name in there if (np.diff(_known(numbers[name])) >= 0.0).all()]
+    if not set(rising) & set(named):  # a clock may be set, and rows be out of order
+        steps = {name: np.diff(_known(numbers[name])) for name in there if name in named}
+        rising += [name for name, each in steps.items() if np.mean(each > 0.0) > _MOSTLY]
     if not set(rising) & set(named):
         rising = [name for name in rising[:1] if _is_clock(numbers[name])]
         found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
