@@ -9,7 +9,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
                                                     # zone = "+02:00" of a clock not in UTC
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
-    wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
+    wind_mps = { from = "TWS", unit = "kn", offset = 0.0, empty = [-999] }  # no values
     delta_left_rad = 0.0                            # a constant
 
     [position]                                      # latitude, longitude (degrees) -> metres
@@ -265,7 +265,7 @@ class _Parser:
     ) -> tuple[str, str, float, float, Mapping[str, Any]]:
         """Return topic, source, factor, offset and the table of ``{from = ..., unit = ...}``."""
         table: Mapping[str, Any] = {"from": given} if isinstance(given, str) else given
-        keys = ("from", "topic", "field", "unit", "scale", "offset", *extra)
+        keys = ("from", "topic", "field", "unit", "scale", "offset", "empty", *extra)
         table = self.known(where, table, keys)
         source = table.get("field" if "topic" in table else "from")
         if not isinstance(source, str) or not isinstance(table.get("topic", ""), str):
@@ -320,7 +320,7 @@ class _Parser:
         return Entry(
             names,
             (source, date) if date else (source,),
-            _first(factor, offset) if date else _linear(factor, offset, len(names)),
+            _first(factor, offset) if date else self.linear(names, factor, offset, table),
             topic,
             f"{both}: from {f'{date} and ' if date else ''}{what}" + _conversion(factor, offset),
             clock,
@@ -328,6 +328,30 @@ class _Parser:
             date,
             zone,
         )
+
+    def marks(self, where: str, table: Mapping[str, Any]) -> list[float]:
+        """Return the numbers that are no values."""
+        given = table.get("empty", [])
+        if not isinstance(given, list):
+            raise self.fail(f"{where} empty", f"{given!r} must be numbers in brackets")
+        return [self.number(f"{where} empty", value) for value in given]
+
+    def linear(
+        self, names: tuple[str, ...], factor: float, offset: float, table: Mapping[str, Any]
+    ) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
+        """Return the conversion of one source; None where nothing is to be done."""
+        marks = self.marks(names[0], table)
+        if factor == 1.0 and offset == 0.0 and not marks:
+            return None
+
+        def convert(values: Sequence[Array]) -> list[Array]:
+            none = np.isin(values[0], marks)
+            made = np.where(none, np.nan, values[0] * factor + offset)
+            if names[0] in COMMANDS:  # nothing turns before the first one; later ones are held
+                made[: int(np.argmin(none)) if not none.all() else None] = 0.0
+            return [made] * len(names)
+
+        return convert
 
     def zone(self, name: str, text: str, allowed: bool) -> float:
         """Return by how much a clock is ahead of UTC, s."""
@@ -400,9 +424,15 @@ class _Parser:
         if parts[0][0] != parts[1][0]:
             raise self.fail("[velocity]", "speed and course must come from the same topic")
 
+        none = [
+            self.marks(f"[velocity] {key}", table[key]) if isinstance(table[key], Mapping) else []
+            for key in ("speed", "course")
+        ]
+
         def convert(values: Sequence[Array]) -> list[Array]:
             speed, course = (
-                value * part[2] + part[3] for value, part in zip(values, parts, strict=True)
+                np.where(np.isin(value, marks), np.nan, value * part[2] + part[3])
+                for value, part, marks in zip(values, parts, none, strict=True)
             )
             return [speed * np.cos(course), speed * np.sin(course)]
 
@@ -469,14 +499,6 @@ def _conversion(factor: float, offset: float) -> str:
     """Return what a conversion does, for the notes."""
     times = "" if factor == 1.0 else f" times {factor:.6g}"
     return times + ("" if offset == 0.0 else f" plus {offset:.6g}")
-
-
-def _linear(
-    factor: float, offset: float, count: int
-) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
-    if factor == 1.0 and offset == 0.0:
-        return None
-    return lambda values: [values[0] * factor + offset] * count
 
 
 def _first(factor: float, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:

@@ -299,6 +299,12 @@ _NAMED = (
 """Columns whose unit is in the name, if it is not that of the log: meaning, and those units."""
 
 
+def _has_unit(found: Proposal, target: str, unit: str) -> bool:
+    """Return whether a column that was found has a unit."""
+    lines = found.lines.get("columns", [])
+    return any(line.startswith(f"{target} =") and f'unit = "{unit}"' in line for line in lines)
+
+
 def _plain(columns: Columns, found: Proposal) -> None:
     """Find what needs no other column; ``usv-twin check`` tells whether signs are right."""
     for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
@@ -306,11 +312,17 @@ def _plain(columns: Columns, found: Proposal) -> None:
         if name is not None:
             steep = np.abs(known(columns.numbers[name])).max(initial=0.0) > 0.5 * math.pi
             unit = "deg" if steep else unit_of(name, ("deg", "rad"))
+            if not unit:  # a boat may heel by so many degrees, and by so many radians
+                unit = "deg" if _has_unit(found, "compass_rad", "deg") else "rad"
+                found.questions.append(f"{name}: deg or rad? {unit} is taken, as of the heading")
             put(columns, found, target, name, "deg" * (unit == "deg"))
     for target, meaning, units in _NAMED:
         name = pick(columns, meaning)
         if name is not None:
-            put(columns, found, target, name, unit_of(name, units))
+            unit = unit_of(name, units)
+            if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
+                unit = "degps" * _has_unit(found, "gyro_radps", "degps")
+            put(columns, found, target, name, unit)
     name = pick(columns, "accel_z")
     if name is not None:
         up = float(np.median(known(columns.numbers[name]))) > 0.0
