@@ -11,7 +11,15 @@ import numpy.typing as npt
 from twin.channels import COMMANDS, MEASUREMENTS, WIND_SPEED
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.logs.checks import is_gap
-from twin.logs.clock import GAP_STEPS, HOUR_S, order_remedy, set_back, stood_in_gap, wild_stamps
+from twin.logs.clock import (
+    GAP_STEPS,
+    HOUR_S,
+    order_remedy,
+    set_back,
+    spread,
+    stood_in_gap,
+    wild_stamps,
+)
 from twin.logs.columns import SHARE
 from twin.logs.jumps import find_jumps
 from twin.logs.recording import Recording, repeated
@@ -126,9 +134,8 @@ def check_time(recording: Recording) -> list[Finding]:
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
-    spread = robust_sd(step[~gap])
-    if spread > JITTER * median:
-        found += _jitter(recording, median, spread)
+    if (jitter := _uneven(step[~gap])) > JITTER * median:
+        found += _jitter(recording, median, jitter)
     along, across, speed = fix_scatter(*recording.samples(*FIX))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
@@ -141,7 +148,13 @@ def check_time(recording: Recording) -> list[Finding]:
     return found
 
 
-def _jitter(recording: Recording, median: float, spread: float) -> list[Finding]:
+def _uneven(steps: Array) -> float:
+    """Return by how much steps of time spread, s; 0 where most of them are the same."""
+    same = np.isclose(steps, np.median(steps), rtol=1e-3).mean()
+    return 0.0 if same > 0.5 else robust_sd(steps)
+
+
+def _jitter(recording: Recording, median: float, jitter: float) -> list[Finding]:
     """Return a finding where the stamps of samples jitter, of all sensors or some.
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
@@ -153,15 +166,15 @@ def _jitter(recording: Recording, median: float, spread: float) -> list[Finding]
         # rows may hold the last sample until the next one
         times = recording.t[given], recording.t[given & ~repeated(values)]
         steps = [np.diff(t) for t in times if len(t) > ENOUGH]
-        jitters = [robust_sd(step) / float(np.median(step)) for step in steps]
+        jitters = [_uneven(step) / float(np.median(step)) for step in steps]
         if jitters:
             (uneven if min(jitters) > JITTER else even).append(sensor)
     if even and not uneven:
         return []
     whose = ", ".join(uneven) if even else "the rows"
-    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {spread:.2g} s"
+    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
     remedy = "stamp samples when they are taken, not when they are written"
-    return [Finding(WARNING, "jitter", what, remedy, "time", spread)]
+    return [Finding(WARNING, "jitter", what, remedy, "time", jitter)]
 
 
 def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
@@ -202,7 +215,10 @@ def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
     equal = int((step == 0.0).sum())
     if equal:
         what = f"{equal} of {len(valid)} rows have the time of the row before"
-        if clashes:
+        if clashes and spread(valid) is not None:
+            remedy = "they are spread over the time that the clock counts by"
+            say(what, remedy, float(equal), NOTE)
+        elif clashes:
             what += f"; {clashes} of them have other values, as times in whole seconds do"
             say(what, "record fractions of a second, or keep one row of each time", float(equal))
         else:

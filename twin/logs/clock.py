@@ -18,6 +18,7 @@ __all__ = [
     "run_on",
     "set_back",
     "set_back_remedy",
+    "spread",
     "stood_in_gap",
     "wild_stamps",
 ]
@@ -81,6 +82,24 @@ def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
             fills = len(place) == len(piece) + 2 and np.ptp(place) > typical * (len(piece) + 0.5)
             wild[rows[k + 1 : end + 1]] = not fills
     return wild
+
+
+def spread(stamps: Array) -> Array | None:
+    """Return times (N,), s, of rows some of which share a stamp, apart within what it counts.
+
+    None where there are none, where times go back, or where most rows share their stamp: a clock
+    that is too coarse tells no times.
+    """
+    step = np.diff(stamps)
+    if not (step >= 0.0).all() or (step > 0.0).all():
+        return None
+    unit = float(step[step > 0.0].min(initial=math.inf))
+    if not 0.0 < np.median(step) < 1.5 * unit < math.inf:
+        return None
+    group = np.cumsum(np.append(False, step > 0.0))
+    size, first = np.bincount(group), np.searchsorted(group, np.arange(group[-1] + 1))
+    place = np.arange(len(group)) - first[group]
+    return np.asarray(stamps + unit * place / size[group])
 
 
 def set_back(stamps: Array, motion: Array | None = None) -> list[tuple[int, float]]:

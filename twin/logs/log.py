@@ -39,7 +39,7 @@ from twin.logs.checks import (
     held_command,
     stream_end,
 )
-from twin.logs.clock import wild_stamps
+from twin.logs.clock import spread, wild_stamps
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
@@ -522,9 +522,18 @@ def _leave_out_wild(table: Table) -> None:
 
 
 def _merge_equal_times(table: Table) -> None:
-    """Merge rows of equal time, unless their values differ."""
+    """Merge rows of equal time; where their values differ, spread them if they are few."""
     found = equal_times(table.data)
-    if found is None or found.clashes:
+    if found is None:
+        return
+    if found.clashes:
+        apart = spread(table.data[TIME])
+        if apart is not None:
+            table.notes.append(
+                f"t_s: {len(apart) - len(found.first)} of {len(apart)} rows have the time of the "
+                "row before and other values, spread over the time that the clock counts by"
+            )
+            table.data = {**table.data, TIME: apart}
         return
     many, line = len(table.data[TIME]), table.line
     rows = np.append(found.first, many)

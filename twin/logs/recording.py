@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
-from twin.logs.clock import run_on, wild_stamps
+from twin.logs.clock import run_on, spread, wild_stamps
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
 from twin.logs.readers import merged
@@ -90,6 +90,9 @@ class Recording:
         # a step of the clock makes no sensor jump
         motion = motion_of(data)
         times = run_on(np.where(wild_stamps(stamps), np.nan, stamps), motion)
+        clashes = clashing_rows(data)
+        if clashes and (apart := spread(times)) is not None:
+            times = apart
         valid = np.isfinite(times)
         latest = np.maximum.accumulate(np.where(valid, times, -np.inf))
         kept = valid & (times > np.append(-np.inf, latest[:-1]))
@@ -106,7 +109,6 @@ class Recording:
         z[np.isinf(z)], cmd[np.isinf(cmd)] = np.nan, np.nan
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
-        clashes = clashing_rows(data)
         more = infinite, clashes, plane, motion
         return cls(times[kept], z, cmd, stamps, dict(given), name, *more)
 

@@ -187,3 +187,41 @@ def test_rows_are_to_be_sorted_only_where_that_brings_them_in_order(tmp_path: Pa
     assert "sort the rows by time" in serious(path)[0]
     path.write_text("\n".join([names, *rows, *rows[100:]]) + "\n")
     assert "sort" not in serious(path)[0] and "cut the log" in serious(path)[0]
+
+
+# --- coarse clocks ------------------------------------------------------------------------------
+
+
+def test_few_doubles_of_a_clock_in_whole_seconds_are_spread(tmp_path: Path) -> None:
+    late = np.random.default_rng(1).normal(0.35, 0.25, ROWS)
+    path = write(tmp_path / "a.csv", lambda k: f"{math.floor(k + late[k])}", step=1.0)
+    doubles = int((np.diff(np.floor(np.arange(ROWS) + late)) == 0.0).sum())
+    log, _ = mapped(path)
+    assert doubles > 5 and len(log) == ROWS and np.diff(log.t).min() >= 0.5
+    assert np.abs(log.t - np.floor(np.arange(ROWS) + late)).max() <= 0.5
+    assert any(f"{doubles} of {ROWS} rows" in note and "spread" in note for note in log.notes)
+    codes = {each.code for each in check_log(path).findings if each.severity != "note"}
+    assert codes.isdisjoint({"time", "jitter", "gap"})
+
+
+FINE: dict[str, tuple[str, Callable[[float], str]]] = {
+    "ms since 1970": ("Date,timeStamp", lambda t: f"{1712318280000.0 + 1e3 * t:.4f}"),
+    "s since 1970": ("Date,epoch", lambda t: f"{1712318280.0 + t:.3f}"),
+    "before the date": ("timestamp_ms,Date", lambda t: f"{1e3 * t:.0f}"),
+    "two counters": ("time,timestamp", lambda t: f"{t:.2f}"),
+}
+
+
+@pytest.mark.parametrize("name", FINE)
+def test_of_two_clocks_the_finer_is_taken(tmp_path: Path, name: str) -> None:
+    names, cell = FINE[name]
+
+    def both(k: int) -> str:
+        date = f"{START + timedelta(seconds=int(STEP * k)):%Y-%m-%d %H:%M:%S}"
+        coarse = f"{math.floor(STEP * k)}" if name == "two counters" else date
+        cells = [coarse, cell(STEP * k)]
+        return ",".join(cells[::-1] if name == "before the date" else cells)
+
+    path = write(tmp_path / "a.csv", both)
+    path.write_text(path.read_text().replace("time,lat", f"{names},lat", 1))
+    assert np.diff(mapped(path)[0].t) == pytest.approx(STEP, abs=1e-3)

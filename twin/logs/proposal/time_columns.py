@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -97,7 +98,7 @@ def find_time(
         if len(names) == 2:
             cells = joined(text[names[0]], cells)
         formats = date_formats(cells)
-        if formats:
+        if formats and not _is_coarse(cells, [numbers[n] for n in named if n in numbers]):
             return _dated(found, names, cells, formats, answers)
     for name in named:
         if name not in numbers and (cell := _first(text, name)):
@@ -109,6 +110,12 @@ def find_time(
         filled = np.array([number_of(cell) for cell in with_zeros(text[name])], dtype=np.float64)
         numbers = {**numbers, name: _whole(found, name, numbers[name], filled)}
     return _counted(found, numbers, left, named)
+
+
+def _is_coarse(cells: Sequence[str], others: Sequence[Array]) -> bool:
+    """Return whether most rows share their text with the row before, but not their number."""
+    repeats = np.mean([one == two for one, two in itertools.pairwise(cells)] or [False])
+    return bool(repeats > 0.5) and any((np.diff(_known(each)) > 0.0).all() for each in others)
 
 
 def _clocks(
@@ -211,7 +218,12 @@ def _counted(
         found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
     if not rising:
         return found
-    name = min((name for name in rising if name in named), key=len, default=rising[0])
+    # of several clocks the finest, and then that of the shortest name
+    name = min(
+        (name for name in rising if name in named),
+        key=lambda name: (-len(np.unique(numbers[name])), len(name)),
+        default=rising[0],
+    )
     values = numbers[name]
     unit = unit_of(name, ("ms", "us", "ns")) or _time_unit(values)
     scale = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": _DAY}[unit]
