@@ -96,6 +96,9 @@ def spread(stamps: Array) -> Array | None:
     unit = float(step[step > 0.0].min(initial=math.inf))
     if not 0.0 < np.median(step) < 1.5 * unit < math.inf:
         return None
+    whole = float(np.median(step)) == round(float(np.median(step)))
+    if not whole and (step == 0.0).sum() < 2:  # one may be a slip of another kind
+        return None
     group = np.cumsum(np.append(False, step > 0.0))
     size, first = np.bincount(group), np.searchsorted(group, np.arange(group[-1] + 1))
     place = np.arange(len(group)) - first[group]
