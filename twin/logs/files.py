@@ -19,6 +19,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import Clock, with_zeros
 from twin.logs.errors import LogError
+from twin.logs.kinds import kind_of
 
 __all__ = [
     "CsvFile",
@@ -304,7 +305,10 @@ def cannot_be_read(path: Path, error: OSError) -> LogError:
 def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]:
     """Return the blank lines before the header, what separates cells, and its names."""
     blank = 0
-    if b"\0" in file.read(4096):
+    start = file.read(4096)
+    if kind := kind_of(start):
+        raise LogError(f"{path}: this is {kind}")
+    if b"\0" in start:
         raise LogError(f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8")
     file.seek(0)
     while (raw := file.readline(1 << 20)) and not raw.strip(b"\r\n\t \xef\xbb\xbf"):
