@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["NMEA_LINE", "kind_of", "mcap_kind"]
+__all__ = ["is_nmea", "kind_of", "mcap_kind"]
 
-NMEA_LINE = re.compile(rb"^(\\[^\\\r\n]*\\)?[$!][A-Z][A-Z0-9]{3,5},[^\r\n]*", re.MULTILINE)
+_NMEA_LINE = re.compile(rb"^(\\[^\\\r\n]*\\)?[$!][A-Z][A-Z0-9]{3,5},[^\r\n]*", re.MULTILINE)
 """A sentence of NMEA 0183, behind a TAG block or not."""
 
 _MAGIC = {
@@ -53,11 +53,23 @@ _TEXTS = {
 """How texts begin, and what they are."""
 
 
+def is_nmea(start: bytes) -> bool:
+    """Return whether most lines of a start are sentences; the first and the last may be cut."""
+    lines = sum(1 for line in start.splitlines() if line.strip())
+    sentences = len(_NMEA_LINE.findall(start))
+    return sentences > 0 and sentences >= 0.5 * (lines - 2)
+
+
 def kind_of(start: bytes) -> str:
     """Return what a file that begins so is, and the way from it to a log; nothing of CSV."""
     for magic, what in _MAGIC.items():
         if start.startswith(magic):
             return what
+    if is_nmea(start):
+        return (
+            "a log of NMEA 0183, whose sentences are known: it needs no mapping, or one with "
+            "constants for commands that it lacks, such as n_rps = 0.0 and delta_rad = 0.0"
+        )
     for pattern, what in _TEXTS.items():
         if re.match(pattern, start.removeprefix(b"\xef\xbb\xbf"), re.MULTILINE | re.DOTALL):
             return what

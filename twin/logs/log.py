@@ -49,6 +49,7 @@ from twin.logs.parquet import ParquetFile, column_file, need_polars, write_parqu
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
 from twin.logs.rosbag import is_bag, read_bag
+from twin.logs.wire.nmea_log import is_nmea_log, read_nmea_log
 from usv_kernel.files import replacing
 
 __all__ = [
@@ -226,7 +227,7 @@ class Log:
 
     @classmethod
     def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:
-        """Read a log from a CSV or Parquet file, a ROS 2 bag or an autopilot's log.
+        """Read a log: CSV, Parquet, a bag of ROS, NMEA sentences or an autopilot's log.
 
         Parameters
         ----------
@@ -302,6 +303,10 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
     if is_bag(path):
         table = read_bag(path, layout)
         table.lacking = _lacking(table.source, table.data, "name them in the mapping")
+        return table
+    if is_nmea_log(path):
+        table = read_nmea_log(path, layout)
+        table.lacking = _lacking(table.source, table.data, "give constants in a mapping file")
         return table
     file = column_file(path)
     entries, left, layout, lacking = _chosen(file, layout)

@@ -46,7 +46,7 @@ _PLACE = "\0place"
 UNIX = 1e9, 4e9
 """Times between these are seconds since 1970: September 2001 to 2096."""
 
-_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".bin", ".BIN", ".tlog")
+_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".bin", ".BIN", ".tlog", ".nmea")
 
 
 @dataclass

@@ -19,8 +19,9 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.live.protocols.nmea import KNOT, NmeaFeed, NmeaReply
+from twin.live.protocols.reply import NmeaReply
 from twin.logs.datum import Plane
+from twin.logs.wire.nmea import KNOT, NmeaFeed
 from twin.particulars import Particulars
 
 pynmeagps = pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")

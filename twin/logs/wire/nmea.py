@@ -1,4 +1,4 @@
-r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimate as sentences.
+r"""NMEA 0183: sentences of a boat as rows.
 
 Taken are, of any talker, GGA and RMC (fix and velocity), or GLL and VTG where these do not come;
 the heading of the first that comes of HDT, THS, PASHR, VHW, HDG and HDM, magnetic ones with the
@@ -21,35 +21,27 @@ that of the sentence before them in the same datagram (ZDA, GGA, RMC, a TAG bloc
 is that of their arrival by the sender's clock. A TAG block in whole seconds is the time of the
 first sentence of its kind in that second alone.
 
-The twin's estimate goes out under the talker U9, as NMEA 0183 leaves U0 to U9 to users: GGA of
-quality 6 (estimated), RMC of mode E, HDT and ROT.
-
 Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime, time, timedelta
+from datetime import time
 from typing import Any
 
-import numpy as np
-
-from twin.channels import COMMANDS, PSI, R, X, Y
-from twin.live.protocols.feed import MEMORY, Feed, Message, velocity_over_ground
-from twin.live.protocols.sockets import FeedError, needed, open_socket
-from twin.logs.datum import Plane
-from twin.predictors.base import Estimate
+from twin.channels import COMMANDS
+from twin.logs.wire.feed import MEMORY, Feed, Message
+from twin.logs.wire.sockets import FeedError, needed
 
 __all__ = [
     "DAY",
     "KNOT",
+    "OWN",
     "NmeaFeed",
-    "NmeaReply",
 ]
 
 DAY = 86400.0
@@ -99,7 +91,7 @@ _WHOLE = re.compile(r"\*[0-9A-Fa-f]{2}$")
 
 
 class NmeaFeed(Feed):
-    """Sentences of a boat as rows; see :class:`~twin.live.protocols.feed.Feed`."""
+    """Sentences of a boat as rows; see :class:`~twin.logs.wire.feed.Feed`."""
 
     modulus = DAY
 
@@ -480,48 +472,3 @@ _READERS: dict[str, Callable[[Any], Message | str]] = {
     "MWD": _mwd,
     "ZDA": _zda,
 }
-
-
-class NmeaReply:
-    """Sends the twin's estimate to ``udp://HOST:PORT``."""
-
-    def __init__(self, address: str) -> None:
-        self._library = needed("pynmeagps")
-        self._socket, self._target = open_socket(address, bind=False)
-
-    def send(self, plane: Plane, stamp: float, estimate: Estimate) -> None:
-        """Send an estimate at a time of day, s; nothing goes out before it is ready."""
-        if estimate.ready and np.isfinite(estimate.state).all():
-            with contextlib.suppress(OSError):  # nobody listens there, or the line is full
-                self._socket.sendto(self.encode(plane, stamp, estimate), self._target)
-
-    def encode(self, plane: Plane, stamp: float, estimate: Estimate) -> bytes:
-        """Return the datagram of an estimate."""
-        state = estimate.state
-        latitude, longitude = map(float, plane.degrees(state[X], state[Y]))
-        north, east = velocity_over_ground(state)
-        moment = (datetime.min + timedelta(seconds=stamp % DAY)).time()
-        place: dict[str, Any] = {"time": moment, "lat": latitude, "lon": longitude}
-        motion = {
-            "spd": round(math.hypot(north, east) / KNOT, 4),
-            "cog": round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0,
-        }
-        today = {"date": datetime.now(UTC).date(), "mv": "", "status": "A", "posMode": "E"}
-        heading = round(math.degrees(state[PSI]) % 360.0, 4) % 360.0
-        rate = round(60.0 * math.degrees(state[R]), 4)
-        unknown = {"numSV": "", "HDOP": "", "alt": "", "sep": "", "diffStation": ""}
-        sentences = {
-            "GGA": {**place, "quality": 6, **unknown},
-            "RMC": {**place, **motion, **today},
-            "HDT": {"headingT": heading, "headingTu": "T"},
-            "ROT": {"rot": rate, "valid": "A"},
-        }
-        made = self._library.NMEAMessage
-        return b"".join(
-            made(OWN, kind, 0, hpnmeamode=1, **fields).serialize()
-            for kind, fields in sentences.items()
-        )
-
-    def close(self) -> None:
-        """Let go of the socket."""
-        self._socket.close()

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, PSI, V
-from twin.live.protocols.sockets import Address, open_socket
 from twin.logs.datum import Plane
+from twin.logs.wire.sockets import Address, open_socket
 from twin.particulars import Particulars
 
 __all__ = [
