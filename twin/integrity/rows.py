@@ -169,7 +169,7 @@ def _jitter(recording: Recording, median: float, jitter: float) -> list[Finding]
         jitters = [_uneven(step) / float(np.median(step)) for step in steps]
         if jitters:
             (uneven if min(jitters) > JITTER else even).append(sensor)
-    if even and not uneven:
+    if not uneven:
         return []
     whose = ", ".join(uneven) if even else "the rows"
     what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
