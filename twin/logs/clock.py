@@ -87,8 +87,8 @@ def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
 def spread(stamps: Array) -> Array | None:
     """Return times (N,), s, of rows some of which share a stamp, apart within what it counts.
 
-    None where there are none, where times go back, or where most rows share their stamp: a clock
-    that is too coarse tells no times.
+    None where there are none, where times go back, where no stamp is missing beside most that are
+    shared, or where most rows share theirs: a clock that is too coarse tells no times.
     """
     step = np.diff(stamps)
     if not (step >= 0.0).all() or (step > 0.0).all():
@@ -102,6 +102,9 @@ def spread(stamps: Array) -> Array | None:
     group = np.cumsum(np.append(False, step > 0.0))
     size, first = np.bincount(group), np.searchsorted(group, np.arange(group[-1] + 1))
     place = np.arange(len(group)) - first[group]
+    missing = np.concatenate([[False], step[step > 0.0] > 1.5 * unit, [False]])
+    if (missing[1:] | missing[:-1])[size > 1].mean() < 0.5:
+        return None
     return np.asarray(stamps + unit * place / size[group])
 
 

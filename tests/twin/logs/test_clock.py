@@ -225,3 +225,13 @@ def test_of_two_clocks_the_finer_is_taken(tmp_path: Path, name: str) -> None:
     path = write(tmp_path / "a.csv", both)
     path.write_text(path.read_text().replace("time,lat", f"{names},lat", 1))
     assert np.diff(mapped(path)[0].t) == pytest.approx(STEP, abs=1e-3)
+
+
+def test_doubles_whose_own_stamps_are_missing_elsewhere_are_refused(tmp_path: Path) -> None:
+    """As where rows are sorted by misread times: one of each second stands half a second late."""
+    times = sorted(round(STEP * k + 0.6 * (k % 5 == 0), 2) for k in range(ROWS))
+    assert (np.diff(times) == 0.0).sum() == ROWS // 5
+    path = write(tmp_path / "a.csv", lambda k: f"{times[k]:.2f}")
+    CliRunner().invoke(app, ["mapping", str(path)])
+    with pytest.raises(LogError, match="time does not increase"):
+        Log.read(path)
