@@ -28,9 +28,9 @@ from twin.live.protocols.mavlink import (
     MavlinkWriter,
     Servos,
 )
-from twin.live.protocols.nmea import DAY, KNOT
-from twin.live.protocols.sockets import FeedError, needed, open_socket
 from twin.logs.datum import Plane
+from twin.logs.wire.nmea import DAY, KNOT
+from twin.logs.wire.sockets import FeedError, needed, open_socket
 from twin.sim.recorded import particulars_for_log
 
 Array = NDArray[np.float64]

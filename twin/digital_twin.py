@@ -24,6 +24,7 @@ from twin.checkpoint import (
 )
 from twin.integrity.history import HealthHistory
 from twin.integrity.monitor import SensorMonitor, SensorStatus
+from twin.logs.clock import MONTH_S
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
@@ -310,6 +311,11 @@ class Twin:
             )
         if not math.isfinite(t) or t <= self.t:
             raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
+        if t - self.t > MONTH_S:
+            raise TwinError(
+                f"t = {t} is more than a month after the row before ({self.t}): a clock that was "
+                "not set gave one of them; leave that row out, or begin with a new twin"
+            )
         if not all(map(math.isfinite, cmd.tolist())):
             raise TwinError(f"cmd = {cmd} holds NaN or infinity; give the last command")
         self.feed(t, z, cmd)

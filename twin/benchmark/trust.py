@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin.benchmark.protocol import BenchmarkError
 from twin.benchmark.scores import Reference, score
@@ -312,6 +312,9 @@ class TrustMeter:
         starts = np.linspace(max(self._next, first + 0.5 * span), last - self._loss_length, LOSSES)
         self._loss_starts = starts.tolist() if self._loss_length >= LOSS_MIN_S else []
         self._row = 0
+        # stretches whose fixes the twin left out, s, and when it last did not doubt them
+        self._excluded: list[list[float]] = []
+        self._undoubted = first
         self._tilt = TiltMeter(twin.motion)
         self.forecasts: list[ScoredForecast] = []
         self.losses: list[GpsLoss] = []
@@ -326,6 +329,13 @@ class TrustMeter:
         for sensor, now in self.twin.health_history.at(t).items():
             if now.status in ("doubtful", "excluded"):
                 self._seconds_in[sensor, now.status] += step
+            if sensor == "gps" and now.status == "excluded":
+                if not self._excluded or self._excluded[-1][1] <= self._undoubted:
+                    # to doubt fixes took samples, too: about as many as to exclude them
+                    self._excluded.append([2.0 * self._undoubted - t, t])
+                self._excluded[-1][1] = t
+            elif sensor == "gps" and now.status != "doubtful":
+                self._undoubted = t
         self._tilt.take(t)
         if self._reference is None:
             return
@@ -398,14 +408,35 @@ class TrustMeter:
         if after:
             self.losses.append(GpsLoss(t_0, np.array(after), np.array(error)))
 
+    def _is_excluded(self, times: ArrayLike) -> NDArray[np.bool_]:
+        """Return at which times the twin left the fixes out: they are no truth to score against."""
+        at = np.asarray(times, dtype=np.float64)[..., None]
+        first, last = np.array(self._excluded).reshape(-1, 2).T
+        return np.asarray(((at > first) & (at <= last)).any(axis=-1))
+
+    def _leave_out_excluded(self) -> None:
+        """Keep the scores whose fixes the twin believed."""
+        self.forecasts = [
+            each
+            for each in self.forecasts
+            if not self._is_excluded([each.t, each.t + HORIZON_S]).any()
+        ]
+        losses = []
+        for loss in self.losses:
+            kept = ~self._is_excluded(loss.t + loss.after)
+            if kept.any() and not self._is_excluded(loss.t):
+                losses.append(GpsLoss(loss.t, loss.after[kept], loss.error[kept]))
+        self.losses = losses
+
     def verdict(self, findings: Sequence[Finding] = ()) -> Verdict:
-        """Return the verdict on the rows so far.
+        """Return the verdict on the rows so far; fixes that the twin left out score nothing.
 
         Parameters
         ----------
         findings : sequence of Finding
             What :func:`twin.integrity.log_check.check_log` found in the log.
         """
+        self._leave_out_excluded()
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         answers: tuple[Answer, ...] = (
             *scores,

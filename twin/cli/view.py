@@ -28,12 +28,13 @@ from twin.cli.common import (
     radians,
 )
 from twin.digital_twin import Twin
-from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed, NmeaReply
-from twin.live.protocols.sockets import needed
+from twin.live.protocols.reply import NmeaReply
 from twin.logs.errors import LogError
 from twin.logs.log import Log
+from twin.logs.wire.feed import Feed
+from twin.logs.wire.nmea import NmeaFeed
+from twin.logs.wire.sockets import needed
 from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of

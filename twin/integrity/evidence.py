@@ -26,6 +26,7 @@ from scipy.optimize import nnls
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, HUGE, MANY, SENSORS, VELOCITY
+from twin.logs.clock import GAP_STEPS
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, averaged, integrated, ways
 from twin.particulars import GRAVITY, Instruments
@@ -131,11 +132,15 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
     instruments : Instruments, optional
         Their stated latency and mounting are taken out.
     """
-    t = recording.t
-    if len(t) < MANY:
+    if len(recording.t) < MANY:
         return None
+    steps = np.diff(recording.t)
+    rows, longest = float(np.median(steps)), 2.0 * HORIZONS_S[-1]
+    if (steps > max(longest, GAP_STEPS * rows)).any():  # nothing is compared across them
+        steps = np.minimum(steps, max(longest, GAP_STEPS * rows))
+        recording = dataclasses.replace(recording, t=np.append(0.0, np.cumsum(steps)))
+    t = recording.t
     stated = instruments or Instruments()
-    rows = float(np.median(np.diff(t)))
     step = max(GRID_S, rows, float(t[-1] - t[0]) / GRID_POINTS)
     grid = np.arange(t[0], t[-1], step)
     if len(grid) < MANY:

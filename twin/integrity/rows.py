@@ -8,14 +8,22 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT
+from twin.channels import COMMANDS, MEASUREMENTS, WIND_SPEED
 from twin.filters.navigation_state import ACCEL_LIMIT, TURN_LIMIT
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
-from twin.logs.checks import GAP_STEPS, is_gap
-from twin.logs.clock import SORT, set_back, stood_in_gap
+from twin.logs.checks import is_gap
+from twin.logs.clock import (
+    GAP_STEPS,
+    HOUR_S,
+    order_remedy,
+    set_back,
+    spread,
+    stood_in_gap,
+    wild_stamps,
+)
 from twin.logs.columns import SHARE, UNITS
 from twin.logs.jumps import find_jumps
-from twin.logs.recording import Recording, wild_stamps
+from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
 from twin.particulars import Particulars
 
@@ -26,6 +34,7 @@ __all__ = [
     "GYROS",
     "HUGE",
     "MANY",
+    "OPTIONAL",
     "SENSORS",
     "VELOCITY",
     "check_cells",
@@ -61,13 +70,14 @@ SENSORS: dict[str, tuple[str, ...]] = {
 }
 """Sensors and the columns that come together."""
 
+OPTIONAL = {*MEASUREMENTS[WIND_SPEED:], "AHRS", "ahrs", "height", "climb", "vertical speed", "wind"}
+"""Sensors and columns that tell wind, roll, pitch and heave: a twin does without them."""
+
 MANY = 3 * ENOUGH
 """Fewer samples than this tell no motion."""
 
 ROWS_S = 5.0
 """Rows that are farther apart, in the median, hardly count seconds."""
-
-HOUR_S = 3600.0
 
 JITTER = 0.05
 """Steps of time that spread by more of the median jitter."""
@@ -110,7 +120,7 @@ SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
 def check_time(recording: Recording) -> list[Finding]:
     """Return what is wrong with the stamps of the rows, and with those of the fixes."""
     t = recording.t
-    found = _order(recording.stamps, recording.clashes)
+    found = _order(recording.stamps, recording.motion, recording.clashes)
     if len(t) < ENOUGH:
         return found
     step = np.diff(t)
@@ -131,11 +141,8 @@ def check_time(recording: Recording) -> list[Finding]:
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
-    spread = robust_sd(step[~gap])
-    if spread > JITTER * median:
-        what = f"the stamps of the rows jitter: steps of {median:.3g} s spread by {spread:.2g} s"
-        remedy = "stamp samples when they are taken, not when they are written"
-        found.append(Finding(WARNING, "jitter", what, remedy, "time", spread))
+    if (jitter := _uneven(step[~gap])) > JITTER * median:
+        found += _jitter(recording, median, jitter)
     along, across, speed = fix_scatter(*recording.samples(*FIX))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
@@ -148,7 +155,36 @@ def check_time(recording: Recording) -> list[Finding]:
     return found
 
 
-def _order(stamps: Array, clashes: int) -> list[Finding]:
+def _uneven(steps: Array) -> float:
+    """Return by how much steps of time spread, s; 0 where most of them are the same."""
+    same = np.isclose(steps, np.median(steps), rtol=1e-3).mean()
+    return 0.0 if same > 0.5 else robust_sd(steps)
+
+
+def _jitter(recording: Recording, median: float, jitter: float) -> list[Finding]:
+    """Return a finding where the stamps of samples jitter, of all sensors or some.
+
+    Rows that only hold the samples of several regular sensors are as irregular as their union.
+    """
+    uneven, even = list[str](), list[str]()
+    for sensor, names in SENSORS.items():
+        values = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
+        given = np.isfinite(values).all(axis=1)
+        # rows may hold the last sample until the next one
+        times = recording.t[given], recording.t[given & ~repeated(values)]
+        steps = [np.diff(t) for t in times if len(t) > ENOUGH]
+        jitters = [_uneven(step) / float(np.median(step)) for step in steps]
+        if jitters:
+            (uneven if min(jitters) > JITTER else even).append(sensor)
+    if not uneven:
+        return []
+    whose = ", ".join(uneven) if even else "the rows"
+    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
+    remedy = "stamp samples when they are taken, not when they are written"
+    return [Finding(WARNING, "jitter", what, remedy, "time", jitter)]
+
+
+def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
     """Return findings about times that are wild, empty, equal or go back."""
     found = []
 
@@ -160,10 +196,12 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
         row = int(np.argmax(wild))
         say(
             f"{wild.sum()} stamp(s) are far from all others (row {row + 1}: {stamps[row]:.10g} s)",
-            "the clock was not set there: correct these stamps or remove the rows",
+            "the clock was not set there: correct these stamps; their rows are left out",
             float(wild.sum()),
+            WARNING,
         )
         stamps = stamps[~wild]
+        motion = None if motion is None else motion[~wild]
     valid = stamps[np.isfinite(stamps)]
     empty, step = len(stamps) - len(valid), np.diff(valid)
     if empty:
@@ -171,20 +209,23 @@ def _order(stamps: Array, clashes: int) -> list[Finding]:
         say(what, "fill in the time or remove these rows", float(empty))
     back = step < 0.0
     if back.any():
-        row, size, steps = int(np.argmin(step)), -float(step.min()), set_back(stamps)
+        size, steps = -float(step.min()), set_back(stamps, motion)
         what = f"time goes back {back.sum()} time(s), by up to {size:.3g} s"
-        remedy = f"{SORT}, or cut the log where it starts again"
+        remedy = "" if steps else order_remedy(stamps, motion)
         if steps:
             row, size = max(steps, key=lambda each: each[1])
             what = f"the clock was set back by {size:.2f} s in row {row + 1}"
             remedy = f"add {size:.2f} s to all later stamps; the rest is checked as if they had it"
-        if abs(size - HOUR_S) < GAP_STEPS * abs(float(np.median(step))):
-            what += ": an hour, as local time is; the clock of the rows is not UTC"
+        if size % HOUR_S == 0.0:
+            what += f": {size / HOUR_S:g} h, as local time is; the clock of the rows is not UTC"
         say(what, remedy, size)
     equal = int((step == 0.0).sum())
     if equal:
         what = f"{equal} of {len(valid)} rows have the time of the row before"
-        if clashes:
+        if clashes and spread(valid) is not None:
+            remedy = "they are spread over the time that the clock counts by"
+            say(what, remedy, float(equal), NOTE)
+        elif clashes:
             what += f"; {clashes} of them have other values, as times in whole seconds do"
             say(what, "record fractions of a second, or keep one row of each time", float(equal))
         else:
@@ -236,7 +277,7 @@ def check_cells(recording: Recording) -> list[Finding]:
         what = f"{empty} of {len(recording.t)} rows come before the first command"
         remedy = "fill in the commands in force, or remove these rows"
         found.append(Finding(WARNING, "missing", what, remedy, "commands"))
-    for j, (name, values) in enumerate(zip(MEASUREMENTS, recording.z.T, strict=True)):
+    for name, values in zip(MEASUREMENTS, recording.z.T, strict=True):
         given, count = recording.called(name), int(np.isfinite(values).sum())
         if name in ("gps_x_m", "compass_rad") and count < ENOUGH:
             what = f"{given}: {count} samples"
@@ -244,7 +285,9 @@ def check_cells(recording: Recording) -> list[Finding]:
         if is_dead(values):
             what = f"{given}: all {count} values are {np.nanmax(values):.6g}"
             remedy = "a dead sensor: empty its cells or remove the column"
-            severity = ERROR if j < MOTION_AT else WARNING
+            if name in OPTIONAL:
+                remedy = "the twin does without it"
+            severity = NOTE if name in OPTIONAL else ERROR
             found.append(Finding(severity, "dead", what, remedy, name))
     return found
 

@@ -186,7 +186,11 @@ def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
     """Return each wrong sign, and each exchange of two axes, of all vectors alike."""
     size, names = len(vectors[0]), tuple(itertools.chain(*vectors))
     remedy = "turn or exchange them in the mapping: " + (
-        "x is north, y east" if names[0] in (*FIX, *VELOCITY) else "x ahead, y to starboard, z down"
+        "x is north, y east"
+        + "; south and west are below 0: latitude or longitude with scale = -1.0"
+        * (FIX[0] in names)
+        if names[0] in (*FIX, *VELOCITY)
+        else "x ahead, y to starboard, z down"
     )
     pairs = [(0, 0), *itertools.combinations(range(size), 2)]
     for (a, b), signs in itertools.product(pairs, itertools.product((1.0, -1.0), repeat=size)):

@@ -7,19 +7,18 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.logs.clock import set_back_remedy
+from twin.channels import MEASUREMENTS, WIND_SPEED
+from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
 from twin.logs.jumps import find_jumps
 from twin.logs.readers import Table
-from twin.logs.recording import held, repeated
+from twin.logs.recording import held, motion_of, repeated
 from twin.logs.signals import ENOUGH, integrated
 from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
     "DEGREE",
-    "GAP_STEPS",
     "check_drive",
     "check_measurement",
     "check_turning",
@@ -35,9 +34,6 @@ __all__ = [
 ]
 
 DEGREE = math.pi / 180.0
-
-GAP_STEPS = 5.0
-"""A longer step of time is a gap, in median steps."""
 
 _WHOLE_TURN = 0.35
 """A step this near to whole turns is one of unwrapping, rad."""
@@ -66,7 +62,7 @@ def checked_time(t: Array, table: Table) -> Array:
     step = np.diff(t)
     if (step <= 0.0).any():
         row = int(np.argmax(step <= 0.0)) + 1
-        remedy = set_back_remedy(t)
+        remedy = set_back_remedy(t, motion_of(table.data))
         if step[row - 1] == 0.0:
             remedy = "record fractions of a second, or keep one row of each time"
         raise LogError(
@@ -117,7 +113,7 @@ def stream_end(t: Array, commands: Array, notes: list[str]) -> float:
 
 
 def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
-    """Refuse a dead sensor, leave out a dead axis of roll, pitch or heave, note what is missing."""
+    """Refuse a dead sensor, or leave out one of wind, roll, pitch, heave; note what is missing."""
     rows, given = len(values), table.given[name]
     valid = ~np.isnan(values)
     count = int(valid.sum())
@@ -126,10 +122,10 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         return
     samples = values[valid]
     dead = count >= ENOUGH and (samples == samples[0]).all()
-    if dead and name in MEASUREMENTS[MOTION_AT:]:
+    if dead and name in MEASUREMENTS[WIND_SPEED:]:
         values[:] = np.nan
         table.notes.append(
-            f"{given}: all {count} values are equal, as of a dead axis; taken as never measured"
+            f"{given}: all {count} values are equal, as of a dead sensor; taken as never measured"
         )
         return
     if dead:

@@ -26,8 +26,10 @@ __all__ = [
     "is_day",
     "is_time_of_day",
     "joined",
+    "lack_zeros",
     "padded",
     "past_midnight",
+    "with_zeros",
 ]
 
 ORDERS = {"day-first": "%d{0}%m{0}{1}", "month-first": "%m{0}%d{0}{1}"}
@@ -132,6 +134,26 @@ def padded(text: str) -> str:
         return text
     whole, point, part = text.partition(".")
     return whole.zfill(6) + point + part
+
+
+_FRACTION = re.compile(r"((?::|[ T]\d{4})\d{1,2}|^\s*\d+(?=\.\d+\s*$))\.(\d+)", re.ASCII)
+"""The fraction of a second, behind seconds or a whole number."""
+
+
+def with_zeros(cells: Sequence[str]) -> list[str]:
+    """Return times whose fractions of a second have as many digits as the longest, zeros in front.
+
+    Loggers that print seconds, a point, and a count of milliseconds or nanoseconds leave them out.
+    """
+    found = (_FRACTION.search(cell) for cell in cells)
+    digits = max((len(each[2]) for each in found if each), default=0)
+    return [_FRACTION.sub(lambda m: f"{m[1]}.{m[2].zfill(digits)}", cell, 1) for cell in cells]
+
+
+def lack_zeros(stamps: Array, padded: Array) -> bool:
+    """Return whether times go back, but with zeros in front of their fractions always advance."""
+    one, other = (np.diff(each[np.isfinite(each)]) for each in (stamps, padded))
+    return bool((one < 0.0).any() and (other > 0.0).all())
 
 
 def _undated(form: str) -> bool:

@@ -17,13 +17,15 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import EMPTY, Array
-from twin.logs.dates import Clock
+from twin.logs.dates import Clock, with_zeros
 from twin.logs.errors import LogError
+from twin.logs.kinds import kind_of
 
 __all__ = [
     "CsvFile",
     "as_numbers",
     "cannot_be_read",
+    "hemispheres",
     "is_number",
     "number_of",
     "shorten",
@@ -42,6 +44,9 @@ _REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
 
 _LOOK = 1000
 """First rows in which a surplus cell is refused where all columns are looked at."""
+
+SIDES = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
+"""First letters of the hemispheres that a column of their own may name, and their signs."""
 
 Block = tuple[Array, dict[str, Array], set[str]]
 """Number of each row in the file, the columns, and which of them were dates."""
@@ -101,6 +106,8 @@ def as_numbers(
             numbers[name] = np.full(len(cells), math.nan)  # read with the time of day
             continue
         values = clock.seconds(texts) if name == clock.column else _numbers_of(cells)
+        if None in values and name != clock.column and (sides := hemispheres(cells)):
+            values = sides
         if None in values and (wrong is None or values.index(None) < wrong[0]):
             wrong = values.index(None), name
         numbers[name] = np.array(values, dtype=np.float64)
@@ -121,6 +128,14 @@ def as_numbers(
     return numbers
 
 
+def hemispheres(cells: Sequence[str]) -> list[float | None]:
+    """Return the signs of hemispheres, NaN of empty cells; nothing where there is other text."""
+    words = [cell.strip().upper() for cell in cells]
+    if not all(re.fullmatch("(N(ORTH)?|S(OUTH)?|E(AST)?|W(EST)?)?", word) for word in words):
+        return []
+    return [SIDES[word[0]] if word else math.nan for word in words]
+
+
 class CsvFile:
     """A CSV file, plain or gzipped; LogError where it is none with a header.
 
@@ -133,6 +148,7 @@ class CsvFile:
 
     def __init__(self, path: Path) -> None:
         self.path, self.source, self.torn = path, str(path), False
+        self.zeros = ""  # column of times whose fractions of a second lack zeros in front
         try:
             with path.open("rb") as file:
                 self.packed = file.read(2) == b"\x1f\x8b"
@@ -185,6 +201,8 @@ class CsvFile:
                 columns = self._cells(text, first, wanted)
                 lines = np.arange(first, first + len(columns[0]), dtype=np.float64)
                 named = dict(zip((self.header[j] for j in wanted), columns, strict=True))
+                if self.zeros:
+                    named[self.zeros] = with_zeros(named[self.zeros])
                 numbers = as_numbers(named, clock, lines, self.source, self.unit)
                 yield lines, numbers, {clock.column} & set(numbers)
                 first += text.count(b"\n")
@@ -287,7 +305,10 @@ def cannot_be_read(path: Path, error: OSError) -> LogError:
 def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]:
     """Return the blank lines before the header, what separates cells, and its names."""
     blank = 0
-    if b"\0" in file.read(4096):
+    start = file.read(4096)
+    if kind := kind_of(start):
+        raise LogError(f"{path}: this is {kind}")
+    if b"\0" in start:
         raise LogError(f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8")
     file.seek(0)
     while (raw := file.readline(1 << 20)) and not raw.strip(b"\r\n\t \xef\xbb\xbf"):

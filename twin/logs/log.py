@@ -39,6 +39,7 @@ from twin.logs.checks import (
     held_command,
     stream_end,
 )
+from twin.logs.clock import spread, wild_stamps
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
@@ -48,6 +49,7 @@ from twin.logs.parquet import ParquetFile, column_file, need_polars, write_parqu
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
 from twin.logs.rosbag import is_bag, read_bag
+from twin.logs.wire.nmea_log import is_nmea_log, read_nmea_log
 from usv_kernel.files import replacing
 
 __all__ = [
@@ -231,7 +233,7 @@ class Log:
 
     @classmethod
     def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:
-        """Read a log from a CSV or Parquet file, a ROS 2 bag or an autopilot's log.
+        """Read a log: CSV, Parquet, a bag of ROS, NMEA sentences or an autopilot's log.
 
         Parameters
         ----------
@@ -271,6 +273,7 @@ class Log:
           becomes NaN, and its velocity too if that repeats as well. So does a repeated compass
           value.
         - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
+        - Rows whose stamps no clock that was set gives are left out.
         - A step of time above 5 times the median is a gap: missing data.
         - Rows of equal time that do not contradict each other become one.
         - An empty command holds the last one.
@@ -306,6 +309,10 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
     if is_bag(path):
         table = read_bag(path, layout)
         table.lacking = _lacking(table.source, table.data, "name them in the mapping")
+        return table
+    if is_nmea_log(path):
+        table = read_nmea_log(path, layout)
+        table.lacking = _lacking(table.source, table.data, "give constants in a mapping file")
         return table
     file = column_file(path)
     entries, left, layout, lacking = _chosen(file, layout)
@@ -436,6 +443,7 @@ def assemble(table: Table) -> Log:
         Where they cannot be used.
     """
     notes = table.notes
+    _leave_out_wild(table)
     _merge_equal_times(table)
     names = table.data
 
@@ -517,10 +525,34 @@ def merged_notes(notes: Sequence[str]) -> list[str]:
     return [", ".join(names) + ": " * any(names) + what for what, names in columns.items()]
 
 
+def _leave_out_wild(table: Table) -> None:
+    """Leave out rows whose stamps are no times of the log."""
+    wild = wild_stamps(table.data[TIME])
+    if not wild.any():
+        return
+    rows, line = np.flatnonzero(~wild), table.line
+    first = int(np.argmax(wild))
+    table.notes.append(
+        f"t_s: {wild.sum()} of {len(wild)} rows left out, for their stamps are far from all others "
+        f"({line(first)}: {table.data[TIME][first]:.10g} s): the clock was not set there"
+    )
+    table.data = {name: values[rows] for name, values in table.data.items()}
+    table.line = lambda row: line(int(rows[row]))
+
+
 def _merge_equal_times(table: Table) -> None:
-    """Merge rows of equal time, unless their values differ."""
+    """Merge rows of equal time; where their values differ, spread them if they are few."""
     found = equal_times(table.data)
-    if found is None or found.clashes:
+    if found is None:
+        return
+    if found.clashes:
+        apart = spread(table.data[TIME])
+        if apart is not None:
+            table.notes.append(
+                f"t_s: {len(apart) - len(found.first)} of {len(apart)} rows have the time of the "
+                "row before and other values, spread over the time that the clock counts by"
+            )
+            table.data = {**table.data, TIME: apart}
         return
     many, line = len(table.data[TIME]), table.line
     rows = np.append(found.first, many)

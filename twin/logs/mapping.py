@@ -9,12 +9,12 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
                                                     # zone = "+02:00" of a clock not in UTC
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
-    wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
+    wind_mps = { from = "TWS", unit = "kn", offset = 0.0, empty = [-999] }  # no values
     delta_left_rad = 0.0                            # a constant
 
     [position]                                      # latitude, longitude (degrees) -> metres
-    latitude = "lat"
-    longitude = "lon"
+    latitude = "lat"                                # each also as { from = "lat", scale = -1.0 },
+    longitude = "lon"                               # or with hemisphere = "E/W", a column
     datum = [38.86580, 121.53438]                   # left out: the first fix
     scale = 1e-7                                    # of latitude and longitude, to degrees
     unit = "ddmm"                                   # degrees and minutes in one number, ddmm.mm
@@ -266,7 +266,7 @@ class _Parser:
     ) -> tuple[str, str, float, float, Mapping[str, Any]]:
         """Return topic, source, factor, offset and the table of ``{from = ..., unit = ...}``."""
         table: Mapping[str, Any] = {"from": given} if isinstance(given, str) else given
-        keys = ("from", "topic", "field", "unit", "scale", "offset", *extra)
+        keys = ("from", "topic", "field", "unit", "scale", "offset", "empty", *extra)
         table = self.known(where, table, keys)
         source = table.get("field" if "topic" in table else "from")
         if not isinstance(source, str) or not isinstance(table.get("topic", ""), str):
@@ -320,7 +320,7 @@ class _Parser:
         return Entry(
             names,
             (source, date) if date else (source,),
-            _first(factor, offset) if date else _linear(factor, offset, len(names)),
+            _first(factor, offset) if date else self.linear(names, factor, offset, table),
             topic,
             f"{both}: from {f'{date} and ' if date else ''}{what}" + _conversion(factor, offset),
             clock,
@@ -328,6 +328,30 @@ class _Parser:
             date,
             zone,
         )
+
+    def marks(self, where: str, table: Mapping[str, Any]) -> list[float]:
+        """Return the numbers that are no values."""
+        given = table.get("empty", [])
+        if not isinstance(given, list):
+            raise self.fail(f"{where} empty", f"{given!r} must be numbers in brackets")
+        return [self.number(f"{where} empty", value) for value in given]
+
+    def linear(
+        self, names: tuple[str, ...], factor: float, offset: float, table: Mapping[str, Any]
+    ) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
+        """Return the conversion of one source; None where nothing is to be done."""
+        marks = self.marks(names[0], table)
+        if factor == 1.0 and offset == 0.0 and not marks:
+            return None
+
+        def convert(values: Sequence[Array]) -> list[Array]:
+            none = np.isin(values[0], marks)
+            made = np.where(none, np.nan, values[0] * factor + offset)
+            if names[0] in COMMANDS:  # nothing turns before the first one; later ones are held
+                made[: int(np.argmin(none)) if not none.all() else None] = 0.0
+            return [made] * len(names)
+
+        return convert
 
     def zone(self, name: str, text: str, allowed: bool) -> float:
         """Return by how much a clock is ahead of UTC, s."""
@@ -352,19 +376,35 @@ class _Parser:
                 raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
             datum = tuple(self.number("[position] datum", value) for value in datum)
             Datum(latitude=datum[0], longitude=datum[1])  # refuses what is no place on Earth
-        plane = None if datum is None else Plane(*datum)
-        position = _Position(plane, self.source, scale, unit == "ddmm")
-        names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
+        parts = [self.angle(key, table.get(key, key)) for key in ("latitude", "longitude")]
         topic = self.text("[position]", table, "topic", "")
+        names = [part[0] for part in parts] + (["status.status?"] if topic else [])
+        plane = None if datum is None else Plane(*datum)
+        scales = scale * parts[0][2], scale * parts[1][2]
+        sided = bool(parts[0][1]), bool(parts[1][1])
+        position = _Position(plane, self.source, scales, sided, unit == "ddmm")
         return Entry(
             ("gps_x_m", "gps_y_m"),
-            (*names, *(("status.status?",) if topic else ())),
+            (*names, *(part[1] for part in parts if part[1])),
             position,
             topic,
             "gps_x_m, gps_y_m: metres north and east of "
             + (f"latitude {datum[0]}, longitude {datum[1]}" if datum else "the first fix"),
             plane=position.plane,
         )
+
+    def angle(self, key: str, given: Any) -> tuple[str, str, float]:
+        """Return the sources of a latitude or longitude and of its hemisphere, and its factor."""
+        where = f"[position] {key}"
+        table = self.known(
+            where,
+            {"from": given} if isinstance(given, str) else given,
+            ("from", "hemisphere", "scale"),
+        )
+        name, side = (self.text(where, table, part, "") for part in ("from", "hemisphere"))
+        if not name:
+            raise self.fail(where, 'needs from = "column of the file"')
+        return name, side, self.number(f"{where} scale", table.get("scale", 1.0))
 
     def datum(self, given: Any) -> Entry:
         table = self.known("[datum]", given, ("latitude", "longitude"))
@@ -386,9 +426,15 @@ class _Parser:
         if parts[0][0] != parts[1][0]:
             raise self.fail("[velocity]", "speed and course must come from the same topic")
 
+        none = [
+            self.marks(f"[velocity] {key}", table[key]) if isinstance(table[key], Mapping) else []
+            for key in ("speed", "course")
+        ]
+
         def convert(values: Sequence[Array]) -> list[Array]:
             speed, course = (
-                value * part[2] + part[3] for value, part in zip(values, parts, strict=True)
+                np.where(np.isin(value, marks), np.nan, value * part[2] + part[3])
+                for value, part, marks in zip(values, parts, none, strict=True)
             )
             return [speed * np.cos(course), speed * np.sin(course)]
 
@@ -457,14 +503,6 @@ def _conversion(factor: float, offset: float) -> str:
     return times + ("" if offset == 0.0 else f" plus {offset:.6g}")
 
 
-def _linear(
-    factor: float, offset: float, count: int
-) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
-    if factor == 1.0 and offset == 0.0:
-        return None
-    return lambda values: [values[0] * factor + offset] * count
-
-
 def _first(factor: float, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:
     """Return the conversion of the first of several sources."""
     return lambda values: [values[0] * factor + offset]
@@ -476,12 +514,18 @@ class _Position:
 
     datum: Plane | None
     source: str
-    scale: float = 1.0  # to degrees
+    scales: tuple[float, float]  # of each, to degrees
+    sided: tuple[bool, bool]  # whether each has a hemisphere, in the last sources
     minutes: bool = False  # degrees and minutes in one number
 
     def _degrees(self, values: Sequence[Array]) -> list[Array]:
-        scaled = [self.scale * value for value in values[:2]]
-        return [*map(from_minutes, scaled), *values[2:]] if self.minutes else [*scaled, *values[2:]]
+        """Return latitude, longitude and status, if there is one."""
+        count = len(values) - sum(self.sided)
+        sides, both = iter(values[count:]), []
+        for angle, scale, sided in zip(values[:2], self.scales, self.sided, strict=True):
+            degrees = from_minutes(scale * angle) if self.minutes else scale * angle
+            both.append(np.abs(degrees) * next(sides) if sided else degrees)
+        return [*both, *values[2:count]]
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
         values = self._degrees(values)

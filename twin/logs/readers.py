@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import TIME
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array, Entry, notes_of
-from twin.logs.dates import Clock, Midnight, past_midnight
+from twin.logs.dates import Clock, Midnight, lack_zeros, past_midnight
 from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile
@@ -45,7 +46,7 @@ _PLACE = "\0place"
 UNIX = 1e9, 4e9
 """Times between these are seconds since 1970: September 2001 to 2096."""
 
-_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bin", ".BIN", ".tlog")
+_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".bin", ".BIN", ".tlog", ".nmea")
 
 
 @dataclass
@@ -178,7 +179,23 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     parts.clear()
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
+    clocked = _only(timed, raw)
+    if isinstance(file, CsvFile) and not file.zeros and (np.diff(clocked) < 0.0).any():
+        file.zeros = timed.sources[0]
+        again = gathered(file, entries, layout)
+        if lack_zeros(clocked, again.data[TIME]):
+            again.notes.append(
+                f"t_s: time goes back {(np.diff(clocked) < 0.0).sum()} times unless the fractions "
+                f"of {file.zeros} lack zeros in front (.5 for .005); read so"
+            )
+            return again
+        file.zeros = ""
     place = raw.pop(_PLACE)
+    if epoch == epoch:  # the first row may come before the clock was set
+        clocked = raw[timed.sources[0]]
+        known = np.flatnonzero(np.isfinite(clocked) & ~wild_stamps(clocked))
+        begin = float(clocked[known[0]]) if len(known) else 0.0
+        epoch, raw[timed.sources[0]] = epoch + begin, clocked - begin
     notes = [f"{void} row(s) without a single value left out"] if void else []
     if isinstance(file, CsvFile) and file.torn:
         notes.append("the last line is cut off, and left out")
@@ -211,8 +228,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     def line(row: int) -> str:
         return f"{file.unit} {int(place[row])}"
 
-    known = None if math.isnan(epoch) else epoch
-    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, known)
+    date = None if math.isnan(epoch) else epoch
+    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, date)
 
 
 def _only(timed: Entry, data: Mapping[str, Array]) -> Array:

@@ -10,24 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
-from twin.logs.clock import run_on
+from twin.logs.clock import run_on, spread, wild_stamps
 from twin.logs.columns import Array
 from twin.logs.datum import Plane
 from twin.logs.readers import merged
-from twin.logs.signals import ENOUGH
+from usv_kernel.channels import COMPASS
 
 __all__ = [
     "Recording",
     "clashing_rows",
     "equal_times",
     "held",
+    "motion_of",
     "repeated",
-    "wild_stamps",
 ]
-
-
-MONTH_S = 30.0 * 86400.0
-"""A clock that is farther off was not set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +50,8 @@ class Recording:
         Rows with the time of the row before and other values.
     plane : Plane, optional
         On which positions are measured, where the file has latitude and longitude.
+    motion : ndarray, shape (M, 3), optional
+        Positions and headings of all rows, also of those whose time does not advance.
     """
 
     t: Array
@@ -65,6 +63,7 @@ class Recording:
     infinite: int = 0
     clashes: int = 0
     plane: Plane | None = None
+    motion: Array | None = None
 
     @classmethod
     def of(
@@ -89,7 +88,11 @@ class Recording:
         """
         stamps = np.asarray(data[TIME], dtype=np.float64)
         # a step of the clock makes no sensor jump
-        times = run_on(np.where(wild_stamps(stamps), np.nan, stamps))
+        motion = motion_of(data)
+        times = run_on(np.where(wild_stamps(stamps), np.nan, stamps), motion)
+        clashes = clashing_rows(data)
+        if clashes and (apart := spread(times)) is not None:
+            times = apart
         valid = np.isfinite(times)
         latest = np.maximum.accumulate(np.where(valid, times, -np.inf))
         kept = valid & (times > np.append(-np.inf, latest[:-1]))
@@ -106,8 +109,8 @@ class Recording:
         z[np.isinf(z)], cmd[np.isinf(cmd)] = np.nan, np.nan
         cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
-        clashes = clashing_rows(data)
-        return cls(times[kept], z, cmd, stamps, dict(given), name, infinite, clashes, plane)
+        more = infinite, clashes, plane, motion
+        return cls(times[kept], z, cmd, stamps, dict(given), name, *more)
 
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""
@@ -134,13 +137,12 @@ class Recording:
         return self.t[new], values[new]
 
 
-def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
-    """Return which stamps (N,), s, lie more than a month and the whole log from most others."""
-    known = stamps[np.isfinite(stamps)]
-    if len(known) < ENOUGH:
-        return np.zeros(len(stamps), dtype=np.bool_)
-    most = max(MONTH_S, len(known) * float(np.median(np.abs(np.diff(known)))))
-    return np.asarray(np.abs(stamps - np.median(known)) > most, dtype=np.bool_)
+def motion_of(data: Mapping[str, Array]) -> Array | None:
+    """Return positions and headings (N, 3) in columns of a log, if they are there."""
+    names = (*MEASUREMENTS[:2], MEASUREMENTS[COMPASS])
+    if not all(name in data for name in names):
+        return None
+    return np.column_stack([np.asarray(data[name], np.float64) for name in names])
 
 
 class EqualTimes(NamedTuple):

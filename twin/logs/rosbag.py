@@ -1,4 +1,4 @@
-"""Columns of a log out of a ROS 2 bag (sqlite3 or MCAP), through ``rosbags``."""
+"""Columns of a log out of a bag of ROS 2 (sqlite3 or MCAP) or ROS 1, through ``rosbags``."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from twin.channels import COMMANDS, TIME
 from twin.logs.columns import Array, notes_of
 from twin.logs.errors import LogError
 from twin.logs.files import cannot_be_read, shorten
+from twin.logs.kinds import mcap_kind
 from twin.logs.mapping import Layout, mapping_path
 from twin.logs.readers import MAX_ROWS, Table, date_of, name_of, said, thinned, too_long
 from usv_kernel.errors import UsvTwinError
@@ -35,7 +36,7 @@ _LATE = 1.0
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is that of a bag: a folder, or a file of its kind."""
-    kinds = (".mcap", ".db3")
+    kinds = (".mcap", ".db3", ".bag")
     if path.suffix in kinds:
         return True
     with suppress(OSError):
@@ -58,7 +59,8 @@ class _Topic:
 def read_bag(path: Path, layout: Layout | None) -> Table:
     """Return the log's columns that a mapping makes of a bag; one row for each stamp of any topic.
 
-    The bag is a folder with ``metadata.yaml``, or a file ``.mcap`` or ``.db3``. Without a mapping
+    The bag is a folder with ``metadata.yaml``, or a file ``.mcap`` or ``.db3``; or of ROS 1, a file
+    ``.bag`` or a folder of those that follow each other. Without a mapping
     it is refused with a list of the topics. NaN where a sensor gave nothing, commands held.
     """
     try:
@@ -71,7 +73,8 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
     if not path.exists():
         raise cannot_be_read(path, FileNotFoundError(2, "No such file or directory"))
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        old = sorted(path.glob("*.bag")) if path.is_dir() else []
+        with AnyReader(old or [path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             types = {link.topic: link.msgtype for link in reader.connections}
             if layout is None and types.keys() >= _OWN:
                 layout = _own_layout(types)
@@ -87,6 +90,8 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
     except _FieldError as error:
         raise LogError(f"{path}: topic {link.topic} ({link.msgtype}): {error}") from None
     except Exception as error:  # a damaged bag fails in as many ways as it has bytes
+        if path.suffix == ".mcap" and (kind := mcap_kind(_start(path))):
+            raise LogError(f"{path}: this is {kind}") from None
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 120)
         raise LogError(
             f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}). Copy it again, or "
@@ -95,6 +100,12 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
         ) from None
     assert layout is not None
     return _united(path, layout, topics)
+
+
+def _start(path: Path) -> bytes:
+    """Return the first megabyte of a file."""
+    with path.open("rb") as file:
+        return file.read(1 << 20)
 
 
 def _own_layout(types: Collection[str]) -> Layout:

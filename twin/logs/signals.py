@@ -12,6 +12,7 @@ from twin.logs.columns import Array
 __all__ = [
     "ENOUGH",
     "averaged",
+    "even_times",
     "integrated",
     "interpolation_residual",
     "robust_sd",
@@ -98,6 +99,15 @@ def sampled(t: Array, values: Array, at: Array) -> Array:
         found = np.column_stack([np.interp(at, t, column) for column in values.T])
     found[lost] = np.nan
     return found
+
+
+def even_times(start: float, stop: float, step: float, t: Array) -> Array:
+    """Return times a step apart, but none deep in the gaps of a log with rows at the times t."""
+    if stop - start > step * len(t):  # most of them would lie in gaps
+        cell = np.unique(np.floor((t - start) / step))
+        grid = start + step * np.unique(np.concatenate([cell, cell + 1.0]))
+        return grid[(grid >= start) & (grid < stop)]
+    return np.arange(start, stop, step)
 
 
 def averaged(t: Array, values: Array, at: Array, width: float) -> Array:

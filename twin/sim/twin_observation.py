@@ -472,7 +472,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
     memories, work = UKFMemory(memories[0], memories[1]), UKFWork(*_split(work, _NAV_WORK))
     given, which, limits, hull = config
-    config = UKFConfig(*_split(given, _NAV_SETTINGS), ModelTerms(which, limits, hull))
+    of_nav, of_filter = _split(given, _NAV_SETTINGS)
+    config = UKFConfig(of_nav, of_filter, ModelTerms(which, limits, hull))
     settings, model = as_record(boats.settings, SETTINGS), config.model
     shared = as_record(boats.shared, EPISODES)
     rules, first = shared.rules, int(shared.entries)

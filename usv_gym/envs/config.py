@@ -119,7 +119,7 @@ class EnvConfig:
         Texts are such as ``"gps10"`` (10 s without GPS, beginning at random between 10 and 60 s) or
         ``"gps-jump=20:10@30+imu-spikes-random"``, see
         :func:`usv_gym.world.faults.parse_faults`. Of several texts, as in ``"none|gps10|gps30"``,
-        each episode draws one.
+        each episode draws one. A fault may be the table of its fields, as in ``spec.to_json()``.
     task : str or type
         One of :data:`usv_gym.envs.tasks.TASKS`, ``module:Class`` of a task of your own, or its
         class: see :class:`usv_gym.envs.tasks.Task`.

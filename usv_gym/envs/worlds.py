@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from usv_gym.world.faults import (
     Disturbance,
     FaultError,
     FaultWarning,
+    fault_of_table,
     ineffective_fault,
     parse_faults,
 )
@@ -225,6 +226,7 @@ def faults_of(config: EnvConfig) -> FaultSets:
         ]
         return FaultSets(named, moving, FAULT_START)
     items = list(faults) if isinstance(faults, Sequence) else [faults]
+    items = [fault_of_table(one) if isinstance(one, Mapping) else one for one in items]
     given = [fault for fault in items if isinstance(fault, Disturbance)]
     if len(given) < len(items):
         raise FaultError(

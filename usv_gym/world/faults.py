@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -56,6 +56,7 @@ __all__ = [
     "apply_faults",
     "drive",
     "fault_keys",
+    "fault_of_table",
     "fault_records",
     "fault_text",
     "ineffective_fault",
@@ -544,6 +545,15 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
         except FaultError as error:
             raise FaultError(f"fault {part!r}: {error}") from None
     return tuple(faults)
+
+
+def fault_of_table(table: Mapping[str, Any]) -> Disturbance:
+    """Return the fault of which this is the table of fields, as JSON of a spec holds it."""
+    for kind in (Fault, RandomFaults, Bursts):
+        if table.keys() == {one.name for one in dataclasses.fields(kind)}:
+            spans = {key: tuple(one) for key, one in table.items() if isinstance(one, list)}
+            return kind(**{**table, **spans})
+    raise FaultError(f"fault {dict(table)!r}: a table needs all fields of a fault, and no others")
 
 
 def _plain(number: float) -> str:

@@ -15,7 +15,7 @@ from tests.twin.live.wire import disturbed, example
 from twin import PREDICTORS, Twin, known_plan
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.digital_twin import TwinError
-from twin.live.protocols.nmea import NmeaFeed
+from twin.logs.wire.nmea import NmeaFeed
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.envs.episodes import BOUND, CapsizeWarning

@@ -370,3 +370,20 @@ def test_pulse_widths_that_nobody_converted_are_bad(boat: Particulars, log: Log)
     cmd[:, :2] = 1500.0 + 20.0 * cmd[:, :2]
     found = verdict_of(boat, dataclasses.replace(log, cmd=cmd))
     assert found.answers[4].grade == BAD and "commands excluded" in found.answers[4].text
+
+
+@pytest.mark.parametrize(("aside", "begin"), [((11.0, 0.0), 90.0), ((-9.0, 9.0), 70.0)])
+def test_fixes_that_the_twin_left_out_are_no_truth(
+    boat: Particulars, log: Log, good: Verdict, aside: tuple[float, float], begin: float
+) -> None:
+    """A glitch of the receiver that the twin sees through spoils neither forecasts nor losses."""
+    z = log.z.copy()
+    z[(log.t >= begin) & (log.t < begin + 20.0), :2] += aside
+    found = verdict_of(boat, dataclasses.replace(log, z=z), "dsw-ukf-plus")
+    assert any("gps excluded" in note for note in found.notes)
+    forecast, coverage, losses = found.answers[:3]
+    assert BAD not in (forecast.grade, coverage.grade, losses.grade)
+    # the glitch itself would be an error of its size
+    assert forecast.numbers["displacement_m"] < good.answers[0].numbers["displacement_m"] + 2.0
+    inside = [f for f in found.forecasts if begin < f.t < begin + 20.0]
+    assert len(found.forecasts) < len(good.forecasts) and not inside

@@ -361,3 +361,72 @@ def test_faults_of_the_packaged_log_are_named(
     boat = Particulars.load(sibling_path(path, ".toml"))
     found = check_recording(Recording.of(table.data, table.given, NAME, table.plane), boat)
     assert code in serious(found)
+
+
+# --- what turns a verdict ------------------------------------------------------------------------
+
+
+def constant(name: str, value: float) -> Callable[[dict[str, np.ndarray]], None]:
+    def fault(data: dict[str, np.ndarray]) -> None:
+        data[name] = np.full(len(data["t_s"]), value)
+
+    return fault
+
+
+@pytest.mark.parametrize("name", ["gps_z_m", "gps_vz_mps", "ahrs_roll_rad", "wind_mps"])
+def test_a_dead_column_that_the_twin_does_without_is_a_note(name: str) -> None:
+    log, boat = sound(*RUNS["otter"])
+    found = check_recording(recording(log, constant(name, -1.0)), boat)
+    assert serious(found) == set()
+    assert finding(found, f"dead:{name}").severity == NOTE
+
+
+@pytest.mark.parametrize("name", ["gps_z_m", "gps_vz_mps", "ahrs_pitch_rad"])
+def test_a_fault_of_a_column_that_the_twin_does_without_is_no_error(name: str) -> None:
+    log, boat = sound("otter", "random", 0.5, dof=6)
+    found = check_recording(recording(log, scaled(100.0, name)), boat)
+    assert {each.severity for each in found.findings} <= {WARNING, NOTE}
+
+
+def of_several_rates(held_over: bool) -> Callable[[dict[str, np.ndarray]], None]:
+    """Leave each sensor some rows of its own, at a regular rate, as a union of topics has them."""
+
+    def fault(data: dict[str, np.ndarray]) -> None:
+        rows = np.arange(len(data["t_s"]))
+        periods = {FIX: (5, 0), VELOCITY: (5, 0), ("compass_rad",): (4, 1), ("gyro_radps",): (6, 2)}
+        some = np.zeros(len(rows), dtype=bool)
+        for names, (period, phase) in periods.items():
+            own = rows % period == phase
+            some |= own
+            for name in names:
+                values = np.where(own, data[name], np.nan)
+                if held_over:
+                    last = np.maximum.accumulate(np.where(own, rows, 0))
+                    values = np.where(rows < phase, np.nan, data[name][last])
+                data[name] = values
+        without("accel_x_mps2", "accel_y_mps2")(data)
+        for name, values in data.items():
+            data[name] = values[some]
+
+    return fault
+
+
+@pytest.mark.parametrize("held_over", [False, True])
+def test_regular_sensors_whose_rows_are_a_union_have_no_jitter(held_over: bool) -> None:
+    log, boat = sound(*RUNS["usv75"])
+    found = check_recording(recording(log, of_several_rates(held_over)), boat)
+    assert np.std(np.diff(found.recording.t)) > 0.01
+    assert "jitter:time" not in serious(found)
+
+
+def test_sensors_whose_own_stamps_jitter_are_named() -> None:
+    log, boat = sound(*RUNS["usv75"])
+    rng = np.random.default_rng(2)
+
+    def rough_fixes(data: dict[str, np.ndarray]) -> None:
+        of_several_rates(False)(data)
+        fixes = np.isfinite(data["gps_x_m"]) & np.isnan(data["compass_rad"])
+        data["t_s"][fixes] += rng.uniform(-0.024, 0.024, fixes.sum())
+
+    what = finding(check_recording(recording(log, rough_fixes), boat), "jitter:time").what
+    assert "fix" in what and "compass" not in what

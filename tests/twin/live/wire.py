@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.live.protocols.feed import Feed
 from twin.logs.log import Log, recorded_runs
+from twin.logs.wire.feed import Feed
 from twin.motion import MotionEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate

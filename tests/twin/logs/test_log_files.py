@@ -112,3 +112,29 @@ def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
     notice = path.with_name("NOTICE.txt").read_text(encoding="ascii")
     assert path.name in notice
     assert "MIT License" in notice
+
+
+OTHERS = {
+    b'<?xml version="1.0"?>\n<gpx><trk><trkseg>\n': "a GPX track",
+    b'<gpx version="1.1" creator="x">\n': "a GPX track",
+    b'<?xml version="1.0"?>\n<kml><Document>\n': "XML",
+    b"(1714728600.952003) can0 09F80101#7D0BAA1838850001\n": "a record of a CAN bus",
+    b"  can1  18EA00FE   [3]  00 EE 00\n": "a record of a CAN bus",
+    b'{"context":"vessels.self","updates":[{"values":[]}]}\n': "a file of Signal K deltas",
+    b'{"t": 1.0, "lat": 41.5}\n{"t": 2.0, "lat": 41.5}\n': "JSON",
+    b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n": "a DataFlash log",
+    b"!Boat,Utc,BSP,HDG,Lat,Lon\n!boat,0,1,13,48,49\n": "a log of Expedition",
+    b"Lat: 41.5000, Lon: -70.600, Heading: 90.5\n" * 3: "a file of lines of names and values",
+    b"ULog\x01\x12\x35\x01": "a log of PX4",
+    b"PK\3\4\x14\0": "a spreadsheet",
+}
+
+
+@pytest.mark.parametrize("content", OTHERS, ids=OTHERS.values())
+def test_files_of_other_kinds_are_named_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.log"
+    path.write_bytes(content)
+    message = refused(path)
+    assert f"this is {OTHERS[content]}" in message
+    for word in ("comma is", "header of column names", "missing"):
+        assert word not in message

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from twin.channels import MEASUREMENTS
 from twin.cli.main import app
 from twin.logs.errors import LogError
 from twin.logs.log import Log
@@ -184,3 +185,136 @@ def test_cells_without_a_value_hide_no_column(tmp_path: Path, cell: str) -> None
 
     _, log = mapped(write(tmp_path / "a.csv", boat(), holes))
     assert np.isfinite(log.z[:, 0]).sum() == ROWS - len(range(2, ROWS, 4))
+
+
+HEMISPHERES = {
+    # signs of latitude and longitude, and what the columns say
+    "north and west": (1.0, -1.0, "N", "W"),
+    "south and east": (-1.0, 1.0, "South", "east"),
+    "south and west": (-1.0, -1.0, "s", "w"),
+}
+
+
+@pytest.mark.parametrize("name", HEMISPHERES)
+@pytest.mark.parametrize("unsigned", [True, False])
+def test_columns_of_hemispheres_are_read(tmp_path: Path, name: str, unsigned: bool) -> None:
+    north, east, *letters = HEMISPHERES[name]
+    lines = ["time,LATITUDE,N/S,LONGITUDE,E/W,heading_deg,n_left_rps,n_right_rps"]
+    for k in range(200):
+        lat, lon = north * 41.5 + 1e-5 * k, east * 70.6 + 2e-5 * k
+        if unsigned:
+            lat, lon = abs(lat), abs(lon)
+        lines.append(
+            f"{0.2 * k:.1f},{lat:.7f},{letters[0]},{lon:.7f},{letters[1]},{60 + k % 5},5,{k % 7}"
+        )
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    assert 'hemisphere = "N/S"' in (tmp_path / "a.mapping.toml").read_text()
+    log = Log.read(path)
+    assert log.datum is not None
+    assert (log.datum.latitude, log.datum.longitude) == (north * 41.5, east * 70.6)
+    assert log.z[-1, 0] > 200.0 and log.z[-1, 1] > 300.0
+
+
+def test_a_mapping_scales_longitude_alone(tmp_path: Path) -> None:
+    rows = [f"{0.2 * k:.1f},{41.5 + 1e-5 * k:.7f},{70.6 - 1e-5 * k:.7f},{k % 9}" for k in range(50)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t_s,lat,lon,compass_deg", *rows]) + "\n")
+    mapping = tmp_path / "a.mapping.toml"
+    text = '[columns]\nn_rps = 1.0\ndelta_rad = 0.0\n[position]\nlatitude = "lat"\nlongitude = '
+    mapping.write_text(text + '{ from = "lon", scale = -1.0 }\n')
+    log = Log.read(path)
+    assert log.datum is not None and log.datum.longitude == -70.6
+    assert log.z[-1, 1] > 30.0
+    mapping.write_text(text + '{ from = "lon", unit = "deg" }\n')
+    with pytest.raises(LogError, match="unknown key 'unit'"):
+        Log.read(path)
+
+
+# --- numbers that are no values, and units that neither name nor values tell ----------------------
+
+
+def foreign(path: Path, **cells: Callable[[int], str]) -> Path:
+    """Write 600 rows of a boat in circles at 5 Hz, with columns in place of others or beside."""
+    lines = []
+    for k in range(600):
+        course = 0.01 * k
+        row = {
+            "time": f"{0.2 * k:.1f}",
+            "lat": f"{59.9 + 40.0 * math.sin(course) / 111_400.0:.8f}",
+            "lon": f"{10.7 - 40.0 * math.cos(course) / 55_900.0:.8f}",
+            "sog_kn": f"{2.0 * 3600.0 / 1852.0 + 1e-3 * (k % 9):.3f}",
+            "cog": f"{math.degrees(course) % 360.0:.1f}",
+            "heading_deg": f"{math.degrees(course) % 360.0:.1f}",
+            "pwm_left": str(1700 + k % 7),
+            "pwm_right": str(1600 + k % 5),
+        }
+        row |= {name: of(k) for name, of in cells.items()}
+        lines.append(",".join(row.values()))
+    path.write_text("\n".join([",".join(row), *lines]) + "\n")
+    return path
+
+
+def proposed(path: Path) -> tuple[str, Log]:
+    result = CliRunner().invoke(app, ["mapping", str(path)])
+    assert result.exit_code == 0, result.output
+    return " ".join(result.output.split()), Log.read(path)
+
+
+@pytest.mark.parametrize("mark", ["0", "65535"])
+@pytest.mark.parametrize("rows", [range(60), range(200, 260), range(5, 600, 50)])
+def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: range) -> None:
+    path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k in rows else str(1700 + k % 7))
+    said, log = proposed(path)
+    assert f"empty = [{mark}]" in said and "pulse width" in said
+    assert log.cmd[:, 0].min() >= 0.0 and log.cmd[:, 0].max() < 4.2
+    first = 0.0 if rows[0] == 0 else 4.0
+    assert log.cmd[rows[0], 0] == pytest.approx(first, abs=0.2)
+
+
+UNKNOWN = {
+    "heading 511": ("heading_deg", "511.0"),
+    "heading 999": ("heading_deg", "999"),
+    "speed 102.3": ("sog_kn", "102.3"),
+    "course 360": ("cog", "360.0"),
+    "speed -999": ("sog_kn", "-999"),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_numbers_of_what_is_not_known_are_no_values(tmp_path: Path, name: str) -> None:
+    column, mark = UNKNOWN[name]
+    usual = foreign(tmp_path / "b.csv").read_text().splitlines()
+    place = usual[0].split(",").index(column)
+    cells = [line.split(",")[place] for line in usual[1:]]
+    of = {column: lambda k: mark if 100 <= k < 110 or k in (300, 420) else cells[k]}
+    _, log = proposed(foreign(tmp_path / "a.csv", **of))
+    values = log.z[:, 4] if column == "heading_deg" else np.hypot(log.z[:, 2], log.z[:, 3])
+    assert np.isnan(values).sum() >= 12 and not np.isfinite(values[100:110]).any()
+    assert np.nanmax(values) < 2.0 * math.pi
+
+
+def test_a_heading_of_360_is_north(tmp_path: Path) -> None:
+    of = {name: lambda k: f"{(0.5 * k) % 360.0 or 360.0:.1f}" for name in ("heading_deg", "cog")}
+    said, log = proposed(foreign(tmp_path / "a.csv", **of))
+    assert "empty" not in said and np.isfinite(log.z[:, 4]).all()
+
+
+@pytest.mark.parametrize(("heading", "unit"), [("heading_deg", math.pi / 180.0), ("psi", 1.0)])
+def test_the_unit_of_small_angles_is_that_of_the_heading_and_asked(
+    tmp_path: Path, heading: str, unit: float
+) -> None:
+    of = {
+        heading: lambda k: f"{(0.01 * k) % (2.0 * math.pi) / unit:.4f}",
+        "roll": lambda k: f"{0.5 * math.sin(0.3 * k):.3f}",
+        "pitch": lambda k: f"{0.4 * math.sin(0.2 * k):.3f}",
+    }
+    path = foreign(tmp_path / "a.csv", **of)
+    if heading == "psi":
+        path.write_text(path.read_text().replace("heading_deg", "remark"))
+    said, log = proposed(path)
+    assert "roll: deg or rad?" in said and "pitch: deg or rad?" in said
+    assert np.nanmax(np.abs(log.z[:, MEASUREMENTS.index("ahrs_roll_rad")])) == pytest.approx(
+        0.5 * unit, rel=0.02
+    )

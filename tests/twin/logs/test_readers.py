@@ -571,3 +571,51 @@ def test_a_package_adds_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             Log.read(tmp_path / "other.csv")
     finally:
         mapping._known.cache_clear()
+
+
+def test_a_bag_of_ros_1_and_a_folder_of_them_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, rows = get_typestore(Stores.ROS1_NOETIC), 60
+    number = store.types["std_msgs/msg/Float64"]
+
+    def part(path: Path, begin: int) -> None:
+        with Writer(path) as writer:
+            topics = {
+                name: writer.add_connection(f"/{name}", "std_msgs/msg/Float64", typestore=store)
+                for name in ("x", "y", "psi", "n")
+            }
+            for k in range(begin, begin + rows):
+                for name, value in (("x", 0.2 * k), ("y", 0.1 * k), ("psi", 0.01 * k), ("n", 5.0)):
+                    data = store.serialize_ros1(number(data=value), "std_msgs/msg/Float64")
+                    writer.write(topics[name], 1_714_728_600_000_000_000 + k * 10**8, data)
+
+    (tmp_path / "parts").mkdir()
+    part(tmp_path / "a.bag", 0)
+    part(tmp_path / "parts" / "1.bag", 0)
+    part(tmp_path / "parts" / "2.bag", rows)
+    columns = {"gps_x_m": "x", "gps_y_m": "y", "compass_rad": "psi", "n_rps": "n"}
+    lines = [f'{name} = {{ topic = "/{of}", field = "data" }}' for name, of in columns.items()]
+    mapping = written(
+        tmp_path / "m.toml", "\n".join(["[columns]", "delta_rad = 0.0", *lines]) + "\n"
+    )
+    for path, count in ((tmp_path / "a.bag", rows), (tmp_path / "parts", 2 * rows)):
+        log = Log.read(path, mapping)
+        assert len(log) in (count, count - 1)
+        assert log.z[-1, 0] == pytest.approx(0.2 * (count - 1))
+        assert np.diff(log.t) == pytest.approx(0.1)
+
+
+def test_an_mcap_of_another_encoding_is_named(tmp_path: Path) -> None:
+    writer = pytest.importorskip("mcap.writer")
+    with (tmp_path / "a.mcap").open("wb") as file:
+        mcap = writer.Writer(file)
+        mcap.start(profile="", library="x")
+        schema = mcap.register_schema("Position", "jsonschema", b'{"type":"object"}')
+        channel = mcap.register_channel("position", "json", schema)
+        mcap.add_message(channel, log_time=1, publish_time=1, data=b'{"lat": 41.5}')
+        mcap.finish()
+    mapping = written(tmp_path / "m.toml", "[columns]\nn_rps = 1.0\n")
+    assert "an MCAP of JSON messages" in refused(tmp_path / "a.mcap", mapping)

@@ -9,16 +9,20 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
+import usv_gym
 from twin.sim.wrapper import make_env, make_vector_env
 from usv_gym import SeaState
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.vector import USVVectorEnv
+from usv_gym.world.faults import FaultError
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
 
@@ -160,3 +164,27 @@ def test_parts_of_a_long_step_change_no_bit(monkeypatch):
         seen += [env.step(np.full((5, 2), 0.3, np.float32))[0].copy() for _ in range(40)]
         runs.append(np.array(seen))
     np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        [usv_gym.Fault("gps", start=5.0, duration=10.0)],
+        usv_gym.Fault("compass", 5.0, 3.0, effect="bias", amount=0.2),
+        [usv_gym.RandomFaults("imu", effect="spikes", gap=(2.0, 6.0)), usv_gym.Bursts("gps")],
+    ],
+)
+def test_an_environment_with_faults_is_made_again_from_the_json_of_its_spec(faults: Any) -> None:
+    env = gym.make("USVTwin-v0", twin=None, faults=faults)
+    spec = EnvSpec.from_json(env.spec.to_json())  # type: ignore[union-attr]
+    again = gym.make(spec)
+    for one in (env, again):
+        one.reset(seed=3)
+    for _ in range(200):
+        action = env.action_space.sample()
+        np.testing.assert_array_equal(env.step(action)[0], again.step(action)[0])
+
+
+def test_a_table_that_is_no_fault_is_refused() -> None:
+    with pytest.raises(FaultError, match="needs all fields of a fault"):
+        gym.make("USVTwin-v0", twin=None, faults=[{"kind": "gps"}])

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from twin.live.protocols.mavlink import AUTOPILOT, new_parser
-from twin.live.protocols.sockets import Address, open_socket
+from twin.logs.wire.sockets import Address, open_socket
 
 __all__ = ["ACCEPTED", "HOLD", "AutopilotPeer", "MavlinkPort"]
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.external.peer import AutopilotPeer
-from twin.live.protocols.feed import Message
 from twin.live.protocols.mavlink import (
     AUTOPILOT,
     NEAR,
@@ -24,7 +23,8 @@ from twin.live.protocols.mavlink import (
     MavlinkFeed,
     MavlinkWriter,
 )
-from twin.live.protocols.sockets import Address
+from twin.logs.wire.feed import Message
+from twin.logs.wire.sockets import Address
 from twin.particulars import Particulars
 
 __all__ = ["ReceiverFeed"]
@@ -74,7 +74,7 @@ class ReceiverFeed(MavlinkFeed):
         return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
-        """See :meth:`~twin.live.protocols.feed.Feed.receive`."""
+        """See :meth:`~twin.logs.wire.feed.Feed.receive`."""
         self._source = source
         super().receive(data, arrival, source)
 

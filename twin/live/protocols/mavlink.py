@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.channels import R, U, V, X, Y
-from twin.live.protocols.feed import Feed, Message, velocity_over_ground
-from twin.live.protocols.sockets import Address, needed
+from twin.logs.wire.feed import Feed, Message, velocity_over_ground
+from twin.logs.wire.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.base import Estimate
 from twin.tilt import body_velocity, body_yaw_rate
@@ -98,7 +98,7 @@ class JumpCounter:
 class MavlinkFeed(Feed):
     """Messages of an autopilot as rows; without ``servos``, the outputs are those of the boat.
 
-    See :class:`~twin.live.protocols.feed.Feed` and :meth:`Servos.of`.
+    See :class:`~twin.logs.wire.feed.Feed` and :meth:`Servos.of`.
     """
 
     modulus = WRAP / 1000.0

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS
 from twin.digital_twin import Twin
-from twin.live.protocols.feed import Feed
-from twin.live.protocols.nmea import NmeaReply
+from twin.live.protocols.reply import NmeaReply
 from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
+from twin.logs.wire.feed import Feed
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [

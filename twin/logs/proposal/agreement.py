@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.logs.columns import Array
-from twin.logs.signals import ENOUGH, averaged, integrated, sampled, ways
+from twin.logs.signals import ENOUGH, averaged, even_times, integrated, sampled, ways
 
 __all__ = [
     "Agreement",
@@ -108,9 +108,8 @@ def gyro_on_compass(
     if len(compass) < ENOUGH or len(gyro) < ENOUGH:
         return None
     step = max(float(np.median(np.diff(t))) for t in (t_compass, t_gyro))
-    grid = np.arange(
-        max(t_compass[0], t_gyro[0]), min(t_compass[-1], t_gyro[-1]), max(WINDOW_S, 6.0 * step)
-    )
+    edges = max(t_compass[0], t_gyro[0]), min(t_compass[-1], t_gyro[-1])
+    grid = even_times(*edges, max(WINDOW_S, 6.0 * step), t_compass)
     turns = [
         np.diff(sampled(t, angle, grid))
         for t, angle in ((t_gyro, integrated(t_gyro, gyro)), (t_compass, np.unwrap(compass)))
@@ -134,7 +133,7 @@ def turns_as_driven(t: Array, psi: Array, difference: Array) -> bool:
     t, psi, difference = t[known], np.unwrap(psi[known]), difference[known]
     pushed, best = integrated(t, difference), 0.0
     for horizon in HORIZONS_S:
-        at = np.arange(t[0] + horizon, t[-1] - 2.0 * horizon, horizon)
+        at = even_times(t[0] + horizon, t[-1] - 2.0 * horizon, horizon, t)
         if len(at) < ENOUGH:
             continue
         edges = [sampled(t, psi, at + k * horizon) for k in (-0.5, 0.5, 1.5)]

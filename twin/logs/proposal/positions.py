@@ -11,10 +11,20 @@ from twin.channels import MEASUREMENTS
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import Plane, from_minutes, in_minutes
-from twin.logs.files import number_of
+from twin.logs.files import hemispheres, number_of
 from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.proposal.header_words import NAMES, is_shaft, means, sides_of, unit_of
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, clean, is_pulses, known, pick, put
+from twin.logs.proposal.sheet import (
+    Columns,
+    Proposal,
+    add_line,
+    clean,
+    entry,
+    is_pulses,
+    known,
+    pick,
+    put,
+)
 
 __all__ = ["angle_unit", "find_position", "is_from_east", "place_degrees"]
 
@@ -69,7 +79,11 @@ def place_degrees(
     names : tuple of str
         Columns of latitude and longitude, by their names.
     """
-    lat, lon = (columns.numbers[name] for name in names)
+    sides = [_hemisphere(columns, letters) for letters in ("NS", "EW")]
+    lat, lon = (
+        columns.numbers[name] if side is None else np.abs(columns.numbers[name]) * side[1]
+        for name, side in zip(names, sides, strict=True)
+    )
     most = [float(np.abs(known(each)).max(initial=0.0)) for each in (lat, lon)]
     if most[0] > 1e6 and most[1] <= 1.8e9:
         lat, lon = 1e-7 * lat, 1e-7 * lon
@@ -102,9 +116,23 @@ def place_degrees(
     if swapped:
         found.questions.append(swapped)
         names, (lat, lon), most = names[::-1], (lon, lat), most[::-1]
-    for key, name in zip(("latitude", "longitude"), names, strict=True):
-        add_line(found, "position", f"{key} = {json.dumps(columns.take(name), ensure_ascii=False)}")
+        sides = sides[::-1]
+    for key, name, side in zip(("latitude", "longitude"), names, sides, strict=True):
+        more = (
+            f"hemisphere = {json.dumps(columns.take(side[0]), ensure_ascii=False)}" if side else ""
+        )
+        add_line(found, "position", entry(key, columns.take(name), more=more))
     return None if t is None or most[0] > 90.0 else _metres(t, lat, lon)
+
+
+def _hemisphere(columns: Columns, letters: str) -> tuple[str, Array] | None:
+    """Return the column of north and south, or of east and west, and its signs, if there is one."""
+    for name in columns.left:
+        cells = columns.text[name] if name not in columns.numbers else []
+        words = {cell.strip()[:1].upper() for cell in cells} - {""}
+        if words and words <= {*letters} and (signs := hemispheres(cells)):
+            return name, np.array(signs, dtype=np.float64)
+    return None
 
 
 def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.checks import in_degrees
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
 from twin.logs.proposal.agreement import Agreement, gyro_on_compass, velocity_on_fixes
 from twin.logs.proposal.commands import find_commands, find_pulses
@@ -113,7 +114,15 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
         one, other = (json.dumps(name, ensure_ascii=False) for name in (date[0], clock))
         line = line.replace(f"from = {other}", f"from = [{one}, {other}]")
     add_line(found, "columns", line)
-    return time.seconds
+    wild = np.zeros(0) if time.seconds is None else wild_stamps(time.seconds)
+    if time.seconds is None or not wild.any():
+        return time.seconds
+    row = int(np.argmax(wild))
+    found.questions.append(
+        f"{clock}: {wild.sum()} stamp(s) are far from all others (row {row + 1}: "
+        f"{columns.text[clock][row].strip()}): the clock was not set there, their rows are left out"
+    )
+    return np.where(wild, np.nan, time.seconds)
 
 
 _OTHER_NAMES = {"wind_true_mps": "wind_mps", "wind_true_from_rad": "wind_from_rad"}
@@ -292,6 +301,12 @@ _NAMED = (
 """Columns whose unit is in the name, if it is not that of the log: meaning, and those units."""
 
 
+def _has_unit(found: Proposal, target: str, unit: str) -> bool:
+    """Return whether a column that was found has a unit."""
+    lines = found.lines.get("columns", [])
+    return any(line.startswith(f"{target} =") and f'unit = "{unit}"' in line for line in lines)
+
+
 def _plain(columns: Columns, found: Proposal) -> None:
     """Find what needs no other column; ``usv-twin check`` tells whether signs are right."""
     for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
@@ -299,11 +314,17 @@ def _plain(columns: Columns, found: Proposal) -> None:
         if name is not None:
             steep = np.abs(known(columns.numbers[name])).max(initial=0.0) > 0.5 * math.pi
             unit = "deg" if steep else unit_of(name, ("deg", "rad"))
+            if not unit:  # a boat may heel by so many degrees, and by so many radians
+                unit = "deg" if _has_unit(found, "compass_rad", "deg") else "rad"
+                found.questions.append(f"{name}: deg or rad? {unit} is taken, as of the heading")
             put(columns, found, target, name, "deg" * (unit == "deg"))
     for target, meaning, units in _NAMED:
         name = pick(columns, meaning)
         if name is not None:
-            put(columns, found, target, name, unit_of(name, units))
+            unit = unit_of(name, units)
+            if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
+                unit = "degps" * _has_unit(found, "gyro_radps", "degps")
+            put(columns, found, target, name, unit)
     name = pick(columns, "accel_z")
     if name is not None:
         up = float(np.median(known(columns.numbers[name]))) > 0.0

@@ -41,6 +41,8 @@ class Columns:
     numbers: dict[str, Array]
     left: list[str]
     twice: dict[str, str] = field(default_factory=dict)  # names that stand twice: the complaint
+    # numbers that stand for "no value", by column; they are NaN in numbers
+    marks: dict[str, list[float]] = field(default_factory=dict)
 
     def take(self, name: str) -> str:
         """Return a column's name, and take it out of those that are left."""
@@ -67,7 +69,42 @@ def read_columns(path: Path) -> Columns:
             numbers[name] = values
     if len(numbers) > 1 and (units := units_line(text)):
         raise LogError(f"{path}: {file.unit} {file.first} {units}")
-    return Columns(text, numbers, list(text), twice)
+    marks = {name: found for name, values in numbers.items() if (found := _marks(name, values))}
+    for name, found in marks.items():
+        numbers[name] = np.where(np.isin(numbers[name], found), np.nan, numbers[name])
+    return Columns(text, numbers, list(text), twice, marks)
+
+
+_MARKS = (360.0, 511.0, 999.0, 9999.0, 65535.0, 102.3, 1023.0, -1.0, -999.0, -9999.0)
+"""What AIS, NMEA 2000, MAVLink and loggers write for an angle or a speed that is not known."""
+
+_PULSES_US = 800.0, 2200.0
+"""Pulse widths that servos and motor controllers take."""
+
+
+def _marks(name: str, values: Array) -> list[float]:
+    """Return the numbers of an angle, a speed or a command that are no values."""
+    seen = values[np.isfinite(values)]
+    pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
+    none = np.isin(seen, (0.0, 65535.0))
+    if len(pulses) and none.any() and len(pulses) + none.sum() == len(seen):
+        return np.unique(seen[none]).tolist()
+    known = seen[~np.isin(seen, _MARKS)]
+    if not any(means(name, NAMES[word]) for word in ("heading", "course", "speed")) or not len(
+        known
+    ):
+        return []
+    found = []
+    for mark in {*_MARKS} & {*seen.tolist()}:
+        rows = np.flatnonzero(seen == mark)
+        beside = seen[np.concatenate([rows - 1, rows + 1]).clip(0, len(seen) - 1)]
+        beside = beside[~np.isin(beside, _MARKS)]
+        beyond = max(known.min() - mark, mark - known.max())
+        # a heading or course of 360 may be north: not beside other courses
+        north = np.abs(np.remainder(beside + 180.0, 360.0) - 180.0) < 30.0
+        if beyond > np.ptp(known) or (beyond > 0.0 and mark >= 360.0 and north.mean() < 0.5):
+            found.append(mark)
+    return sorted(found)
 
 
 def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:
@@ -111,6 +148,9 @@ def put(
     table: str = "columns",
 ) -> None:
     """Take a column, and add the line that makes a column of the log of it."""
+    if name in columns.marks:
+        numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
+        more = f"{more}, " * bool(more) + f"empty = [{numbers}]"
     add_line(found, table, entry(target, columns.take(name), unit, more, why))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array
 from twin.logs.dates import (
     MEANINGS,
@@ -20,8 +22,11 @@ from twin.logs.dates import (
     is_day,
     is_time_of_day,
     joined,
+    lack_zeros,
     padded,
+    with_zeros,
 )
+from twin.logs.files import number_of
 from twin.logs.proposal.header_words import NAMES, means, unit_of
 
 __all__ = ["TimeColumns", "find_time"]
@@ -40,6 +45,9 @@ _WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 
 _AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
 """How far a clock is ahead of UTC, in the name of its column."""
+
+_MOSTLY = 0.9
+"""A column of the name of a time is one where this share of its steps rises."""
 
 
 @dataclass
@@ -97,7 +105,7 @@ def find_time(
         if len(names) == 2:
             cells = joined(text[names[0]], cells)
         formats = date_formats(cells)
-        if formats:
+        if formats and not _is_coarse(cells, [numbers[n] for n in named if n in numbers]):
             return _dated(found, names, cells, formats, answers)
     for name in named:
         if name not in numbers and (cell := _first(text, name)):
@@ -105,7 +113,16 @@ def find_time(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
                 'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
             )
+    for name in set(named) & set(numbers):
+        filled = np.array([number_of(cell) for cell in with_zeros(text[name])], dtype=np.float64)
+        numbers = {**numbers, name: _whole(found, name, numbers[name], filled)}
     return _counted(found, numbers, left, named)
+
+
+def _is_coarse(cells: Sequence[str], others: Sequence[Array]) -> bool:
+    """Return whether most rows share their text with the row before, but not their number."""
+    repeats = np.mean([one == two for one, two in itertools.pairwise(cells)] or [False])
+    return bool(repeats > 0.5) and any((np.diff(_known(each)) > 0.0).all() for each in others)
 
 
 def _clocks(
@@ -195,7 +212,7 @@ def _dated(
                 found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
     if zone and zone != "+00:00":
         found.more += f'{", " * bool(found.more)}zone = "{zone}"'
-    found.seconds = dates(cells, form)
+    found.seconds = _whole(found, title, dates(cells, form), dates(with_zeros(cells), form))
     return found
 
 
@@ -208,18 +225,34 @@ def _zone_of(title: str) -> tuple[str, str]:
     return "", next((word for word in words if word in {**ZONES, **MEANINGS}), "")
 
 
+def _whole(found: TimeColumns, title: str, seconds: Array, filled: Array) -> Array:
+    """Return times, with zeros in front of their fractions where these lack them."""
+    if not lack_zeros(seconds, filled):
+        return seconds
+    found.questions.append(f"{title}: fractions of a second lack zeros in front, and are read so")
+    return filled
+
+
 def _counted(
     found: TimeColumns, numbers: dict[str, Array], left: Sequence[str], named: Sequence[str]
 ) -> TimeColumns:
     """Return the time of a column of numbers that rise."""
     there = [name for name in left if name in numbers]
     rising = [name for name in there if (np.diff(_known(numbers[name])) >= 0.0).all()]
+    if not set(rising) & set(named):  # a clock may be set, and rows be out of order
+        steps = {name: np.diff(_known(numbers[name])) for name in there if name in named}
+        rising += [name for name, each in steps.items() if np.mean(each > 0.0) > _MOSTLY]
     if not set(rising) & set(named):
         rising = [name for name in rising[:1] if _is_clock(numbers[name])]
         found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
     if not rising:
         return found
-    name = min((name for name in rising if name in named), key=len, default=rising[0])
+    # of several clocks the finest, and then that of the shortest name
+    name = min(
+        (name for name in rising if name in named),
+        key=lambda name: (-len(np.unique(numbers[name])), len(name)),
+        default=rising[0],
+    )
     values = numbers[name]
     unit = unit_of(name, ("ms", "us", "ns")) or _time_unit(values)
     scale = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": _DAY}[unit]
@@ -254,4 +287,4 @@ def _time_unit(values: Array) -> str:
 
 
 def _known(values: Array) -> Array:
-    return values[np.isfinite(values)]
+    return values[np.isfinite(values) & ~wild_stamps(values)]

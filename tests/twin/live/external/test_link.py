@@ -18,8 +18,8 @@ from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.receiver import ReceiverFeed
 from twin.live.protocols.mavlink import JumpCounter
-from twin.live.protocols.sockets import FeedError
 from twin.logs.datum import Plane
+from twin.logs.wire.sockets import FeedError
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sensors import SensorSuite

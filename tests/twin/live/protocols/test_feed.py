@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.live.wire import Wire, example, free_port
-from twin.live.protocols.feed import BYTES_MAX, Message
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.sockets import FeedError, parse_address
+from twin.logs.wire.feed import BYTES_MAX, Message
+from twin.logs.wire.nmea import NmeaFeed
+from twin.logs.wire.sockets import FeedError, parse_address
 from twin.particulars import Particulars
 
 pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")

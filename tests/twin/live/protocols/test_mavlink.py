@@ -16,8 +16,8 @@ from twin.channels import (
     GYRO_X,
     GYRO_Y,
 )
-from twin.live.protocols.feed import velocity_over_ground
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.logs.wire.feed import velocity_over_ground
 from twin.particulars import Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 

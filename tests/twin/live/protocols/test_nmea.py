@@ -19,8 +19,9 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.live.protocols.nmea import NmeaFeed, NmeaReply
+from twin.live.protocols.reply import NmeaReply
 from twin.logs.datum import Plane
+from twin.logs.wire.nmea import KNOT, NmeaFeed
 from twin.particulars import Particulars
 
 pynmeagps = pytest.importorskip("pynmeagps", reason="needs pynmeagps: pip install 'usv-twin[view]'")
@@ -264,3 +265,49 @@ def test_the_true_wind_is_read(wire: Wire, body: str) -> None:
     wire.tell(line(GGA), line(body))
     z = row(wire)
     assert z[[WIND_SPEED, WIND_FROM]] == pytest.approx([10.0, math.radians(225.0)], rel=1e-5)
+
+
+# --- headings, places and speeds in other sentences ---------------------------------------------
+
+GLL = "GPGLL,5900.0000,N,01000.0000,E,120000.00,A,A"
+VARIED = "GPRMC,120000.00,A,5900.0000,N,01000.0000,E,4.0,90.0,240424,3.0,E"
+
+
+@pytest.mark.parametrize(
+    ("bodies", "degrees"),
+    [
+        (["HCHDG,80.0,1.0,E,14.0,W"], 67.0),
+        (["HCHDG,2.0,,,10.0,W"], 352.0),
+        ([VARIED, "HCHDM,80.0,M"], 83.0),
+        ([VARIED, "HCHDG,80.0,,,,"], 83.0),
+        (["GNTHS,80.5,A"], 80.5),
+        (["IIVHW,80.5,T,95.0,M,4.0,N,7.4,K"], 80.5),
+        ([VARIED, "IIVHW,,T,95.0,M,4.0,N,7.4,K"], 98.0),
+        (["PASHR,120000.00,80.50,T,+1.20,-0.50,+0.10,0.02,0.02,0.03,1,1"], 80.5),
+        (["HEHDT,70.0,T", "HCHDG,80.0,1.0,E,14.0,W"], 70.0),
+    ],
+)
+def test_headings_of_each_sentence_are_read(wire: Wire, bodies: list[str], degrees: float) -> None:
+    wire.tell(line(GGA), *map(line, bodies))
+    seen = [z[4] for _, z, _ in wire.take(after=1.0) if np.isfinite(z[4])]
+    assert np.degrees(seen) == pytest.approx([degrees])
+    assert not any("no heading" in note for note in wire.feed.notes)
+
+
+def test_a_magnetic_heading_without_a_variation_is_said_to_wait_for_it(wire: Wire) -> None:
+    wire.tell(line(GGA), line("HCHDM,80.0,M"), line("GPGSV,1,1,00"))
+    assert np.isnan([z[4] for _, z, _ in wire.take(after=1.0)]).all()
+    assert wire.balance()["void"] == 1
+    note = next(note for note in wire.feed.notes if "no heading" in note)
+    assert "no variation (HDG, RMC)" in note and "GSV: not followed" in note
+
+
+def test_place_and_speed_come_from_gll_and_vtg_where_nothing_better_comes(wire: Wire) -> None:
+    vtg = "GPVTG,90.0,T,104.0,M,2.5,N,4.6,K,A"
+    wire.tell(line(GLL) + line(vtg))
+    (_, z, _) = wire.take(after=1.0)[0]
+    assert z[:2] == pytest.approx([0.0, 0.0]) and z[2:4] == pytest.approx([0.0, 2.5 * KNOT])
+    later = [text.replace("120000", "120001") for text in (VARIED, GLL)]
+    wire.tell(*map(line, (*later, vtg)))
+    rows = [z for _, z, _ in wire.take(after=1.0) if np.isfinite(z[2])]
+    assert [row[3] for row in rows] == pytest.approx([4.0 * KNOT])

@@ -12,11 +12,11 @@ import pytest
 
 from tests.twin.live.wire import Wire, disturbed, example, free_port
 from twin import Twin
-from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.sockets import needed
 from twin.logs.log import Log
+from twin.logs.wire.feed import Feed
+from twin.logs.wire.nmea import NmeaFeed
+from twin.logs.wire.sockets import needed
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -193,7 +193,7 @@ def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Par
     def without(module: str) -> object:
         raise ModuleNotFoundError(module)
 
-    monkeypatch.setattr("twin.live.protocols.sockets.importlib.import_module", without)
+    monkeypatch.setattr("twin.logs.wire.sockets.importlib.import_module", without)
     for module in ("pynmeagps", "pymavlink.dialects.v20.common"):
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)

@@ -13,13 +13,13 @@ import pytest
 
 from twin import Log, Particulars, Twin
 from twin.digital_twin import TwinError
-from twin.live.protocols.feed import Feed
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from twin.logs.datum import Datum, Plane
+from twin.logs.wire.feed import Feed
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr

@@ -19,10 +19,10 @@ import pytest
 
 from tests.twin.live.wire import free_port, viewing
 from twin import Log, Twin, recorded_runs
-from twin.live.protocols.nmea import NmeaFeed
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from twin.logs.wire.nmea import NmeaFeed
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.vessel.geometry import boat_of

@@ -1,7 +1,9 @@
-r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimate as sentences.
+r"""NMEA 0183: sentences of a boat as rows.
 
-Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
-RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers named PTCH or PITCH
+Taken are, of any talker, GGA and RMC (fix and velocity), or GLL and VTG where these do not come;
+the heading of the first that comes of HDT, THS, PASHR, VHW, HDG and HDM, magnetic ones with the
+variation of HDG or RMC; ROT (rate of turn), RPM and RSA (commands); for roll and pitch PASHR, or
+XDR with transducers named PTCH or PITCH
 (bow up) and ROLL or HEEL (starboard down). Followed by RATE, as in ROLLRATE, they are rates of the
 gyros, degrees/s. PASHR may be that of Trimble, or ATT, AT2 and HPR of
 Ashtech, of which only those with a fixed ambiguity count. MWV with the reference R is the apparent
@@ -19,40 +21,43 @@ that of the sentence before them in the same datagram (ZDA, GGA, RMC, a TAG bloc
 is that of their arrival by the sender's clock. A TAG block in whole seconds is the time of the
 first sentence of its kind in that second alone.
 
-The twin's estimate goes out under the talker U9, as NMEA 0183 leaves U0 to U9 to users: GGA of
-quality 6 (estimated), RMC of mode E, HDT and ROT.
-
 Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime, time, timedelta
+from datetime import time
 from typing import Any
 
-import numpy as np
-
-from twin.channels import COMMANDS, PSI, R, X, Y
-from twin.live.protocols.feed import Feed, Message, velocity_over_ground
-from twin.live.protocols.sockets import FeedError, needed, open_socket
-from twin.logs.datum import Plane
-from twin.predictors.base import Estimate
+from twin.channels import COMMANDS
+from twin.logs.wire.feed import MEMORY, Feed, Message
+from twin.logs.wire.sockets import FeedError, needed
 
 __all__ = [
     "DAY",
     "KNOT",
+    "OWN",
     "NmeaFeed",
-    "NmeaReply",
 ]
 
 DAY = 86400.0
 
 KNOT = 1852.0 / 3600.0
+
+BETTER = {"GLL": ("GGA", "RMC"), "VTG": ("RMC",)}
+"""Kinds of sentences that count only while these do not come; of headings, see below."""
+
+HEADINGS = ("HDT", "THS", "PASHR", "VHW", "HDG", "HDM")
+"""Sentences with a heading, the best first."""
+
+BETTER |= {kind: HEADINGS[:k] for k, kind in enumerate(HEADINGS)}
+
+NOTED = 8
+"""Most kinds of sentences that a note names."""
 
 OWN = "U9"
 """Talker of what the twin says."""
@@ -86,7 +91,7 @@ _WHOLE = re.compile(r"\*[0-9A-Fa-f]{2}$")
 
 
 class NmeaFeed(Feed):
-    """Sentences of a boat as rows; see :class:`~twin.live.protocols.feed.Feed`."""
+    """Sentences of a boat as rows; see :class:`~twin.logs.wire.feed.Feed`."""
 
     modulus = DAY
 
@@ -95,7 +100,24 @@ class NmeaFeed(Feed):
         self._rest = ""
         self._seconds: dict[str, float] = {}
         self._epoch = math.nan, math.nan
+        self._variation: float | None = None  # of the compass, east above 0, rad
+        self._magnetic = False  # whether a heading waits for it
+        self._gave: dict[tuple[str, str], float] = {}  # when which sentence gave what last
+        self._others: set[str] = set()  # kinds of sentences that are not followed
         super().__init__(*args, **options)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know; also which of position and heading did not come, and why."""
+        came = {what for what, _ in self._gave}
+        lacks = [name for name in ("position", "heading") if name not in came]
+        found = super().notes
+        if lacks and (self._magnetic or self._others):
+            why = "; a magnetic one came, but no variation (HDG, RMC)" * self._magnetic
+            others = ", ".join(sorted(self._others)[:NOTED])
+            why += f"; {others}: not followed" if others else ""
+            found = (*found, f"no {' and no '.join(lacks)} has come{why}")
+        return found
 
     def decode(self, data: bytes) -> Iterator[Message | str]:
         """Yield the messages of a datagram; see :meth:`Feed.decode`."""
@@ -164,13 +186,44 @@ class NmeaFeed(Feed):
         if talker == OWN:
             return "own"
         if kind not in _READERS or (talker == "P") != (kind == "ASHR"):
+            self._others.add(f"P{kind}" if talker == "P" else kind)
             return "unknown"
         if kind == "ASHR" and fields[0][:1].isalpha():
             if fields[0] not in ASHTECH:
                 return "unknown"
             fields[0] = ASHTECH[fields[0]]
         sentence = self._library.NMEAMessage(talker, kind, 0, payload=fields, checksum=checksum)
-        return _READERS[kind](sentence)
+        message = _READERS[kind](sentence)
+        return message if isinstance(message, str) else self._best(message)
+
+    def _best(self, message: Message) -> Message | str:
+        """Return what a message says without what a better one says, and with the true heading."""
+        values, fix = dict(message.values), message.fix
+        self._variation = values.pop("variation", self._variation)
+        magnetic = values.pop("magnetic", None)
+        if magnetic is not None and "compass_rad" not in values:
+            self._magnetic = self._variation is None
+            if self._variation is not None:
+                values["compass_rad"] = (magnetic + self._variation) % (2.0 * math.pi)
+        for what, name in (("heading", "compass_rad"), ("velocity", "gps_vx_mps")):
+            if name in values and not self._is_best(message.kind, what):
+                for each in (name, "gps_vy_mps") if what == "velocity" else (name,):
+                    del values[each]
+        if fix is not None and not self._is_best(message.kind, "position"):
+            fix = None
+        nothing = not message.void and (message.values or message.fix) and not (values or fix)
+        if nothing and message.stamp is None:
+            return "void" if magnetic is not None and self._magnetic else "unknown"
+        return replace(message, values=values, fix=fix)
+
+    def _is_best(self, kind: str, what: str) -> bool:
+        """Return whether no better sentence gave the same lately; note that this one did."""
+        now = self.clock()
+        for better in BETTER.get(kind, ()):
+            if now - self._gave.get((what, better), -math.inf) < MEMORY:
+                return False
+        self._gave[what, kind] = now
+        return True
 
     def _tag(self, line: str) -> tuple[float | None, str]:
         """Return the time of a TAG block, s of the day, and the line without the block."""
@@ -240,17 +293,59 @@ def _rmc(sentence: Any) -> Message:
             course = math.radians(course or 0.0)
             values["gps_vx_mps"] = KNOT * speed * math.cos(course)
             values["gps_vy_mps"] = KNOT * speed * math.sin(course)
+        values |= _eastward("variation", sentence.mv, sentence.mvEW)
     stamp = _stamp(sentence.time, sentence.payload[0])
     return Message("RMC", stamp, values, place, void=place is None and not values)
 
 
-def _hdt(sentence: Any) -> Message:
-    heading = _number(sentence.headingT)
-    if heading is None:
-        return Message("HDT", void=True)
-    if not 0.0 <= heading <= 360.0:
-        raise FeedError("no heading")
-    return Message("HDT", values={"compass_rad": math.radians(heading % 360.0)})
+def _gll(sentence: Any) -> Message:
+    void = sentence.status != "A" or getattr(sentence, "posMode", "") in NO_MODE
+    place = None if void else _place(sentence)
+    return Message("GLL", _stamp(sentence.time, sentence.payload[4]), {}, place, void=place is None)
+
+
+def _vtg(sentence: Any) -> Message:
+    knots, kmph, course = map(_number, (sentence.sogn, sentence.sogk, sentence.cogt))
+    speed = KNOT * knots if knots is not None else None if kmph is None else kmph / 3.6
+    void = getattr(sentence, "posMode", "") in NO_MODE
+    if void or speed is None or (course is None and speed > 0.0):
+        return Message("VTG", void=True)
+    course = math.radians(course or 0.0)
+    north, east = speed * math.cos(course), speed * math.sin(course)
+    return Message("VTG", values={"gps_vx_mps": north, "gps_vy_mps": east})
+
+
+def _eastward(name: str, angle: float | str, side: str) -> dict[str, float]:
+    """Return a variation or deviation, rad, east above 0; nothing of an empty one."""
+    value = _number(angle)
+    if value is None or side not in ("E", "W"):
+        return {}
+    return {name: math.radians(value if side == "E" else -value)}
+
+
+def _heading(kind: str, true: float | str, magnetic: float | str = "", **more: float) -> Message:
+    """Return a heading that is true, or magnetic with a deviation or the variation, if known."""
+    values, deviation = dict(more), more.get("deviation", 0.0)
+    for name, given in (("compass_rad", true), ("magnetic", magnetic)):
+        heading = _number(given)
+        if heading is None:
+            continue
+        if not 0.0 <= heading <= 360.0:
+            raise FeedError("no heading")
+        values[name] = math.radians(heading % 360.0) + deviation * (name == "magnetic")
+    values.pop("deviation", None)
+    return Message(kind, values=values, void=not values.keys() & {"compass_rad", "magnetic"})
+
+
+def _hdg(sentence: Any) -> Message:
+    known = _eastward("variation", sentence.variation, sentence.variationEW)
+    known |= _eastward("deviation", sentence.deviation, sentence.deviationEW)
+    return _heading("HDG", "", sentence.headingM, **known)
+
+
+def _ths(sentence: Any) -> Message:
+    # estimated, or not valid
+    return Message("THS", void=True) if sentence.mi in "EV" else _heading("THS", sentence.headt)
 
 
 def _rot(sentence: Any) -> Message:
@@ -303,6 +398,7 @@ def _ashr(sentence: Any) -> Message:
     if getattr(sentence, "ambiguity", 0) != 0:
         return Message("PASHR", stamp, void=True)
     values = _tilt(_number(sentence.roll), _number(sentence.pitch))
+    values |= _heading("PASHR", sentence.trueHdg).values
     return Message("PASHR", stamp, values, void=not values)
 
 
@@ -357,10 +453,16 @@ def _zda(sentence: Any) -> Message:
     return Message("ZDA", stamp, void=stamp is None)
 
 
-_READERS = {
+_READERS: dict[str, Callable[[Any], Message | str]] = {
     "GGA": _gga,
     "RMC": _rmc,
-    "HDT": _hdt,
+    "GLL": _gll,
+    "VTG": _vtg,
+    "HDT": lambda sentence: _heading("HDT", sentence.headingT),
+    "THS": _ths,
+    "VHW": lambda sentence: _heading("VHW", sentence.hdgT, sentence.hdgM),
+    "HDG": _hdg,
+    "HDM": lambda sentence: _heading("HDM", "", sentence.headingM),
     "ROT": _rot,
     "RPM": _rpm,
     "RSA": _rsa,
@@ -370,48 +472,3 @@ _READERS = {
     "MWD": _mwd,
     "ZDA": _zda,
 }
-
-
-class NmeaReply:
-    """Sends the twin's estimate to ``udp://HOST:PORT``."""
-
-    def __init__(self, address: str) -> None:
-        self._library = needed("pynmeagps")
-        self._socket, self._target = open_socket(address, bind=False)
-
-    def send(self, plane: Plane, stamp: float, estimate: Estimate) -> None:
-        """Send an estimate at a time of day, s; nothing goes out before it is ready."""
-        if estimate.ready and np.isfinite(estimate.state).all():
-            with contextlib.suppress(OSError):  # nobody listens there, or the line is full
-                self._socket.sendto(self.encode(plane, stamp, estimate), self._target)
-
-    def encode(self, plane: Plane, stamp: float, estimate: Estimate) -> bytes:
-        """Return the datagram of an estimate."""
-        state = estimate.state
-        latitude, longitude = map(float, plane.degrees(state[X], state[Y]))
-        north, east = velocity_over_ground(state)
-        moment = (datetime.min + timedelta(seconds=stamp % DAY)).time()
-        place: dict[str, Any] = {"time": moment, "lat": latitude, "lon": longitude}
-        motion = {
-            "spd": round(math.hypot(north, east) / KNOT, 4),
-            "cog": round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0,
-        }
-        today = {"date": datetime.now(UTC).date(), "mv": "", "status": "A", "posMode": "E"}
-        heading = round(math.degrees(state[PSI]) % 360.0, 4) % 360.0
-        rate = round(60.0 * math.degrees(state[R]), 4)
-        unknown = {"numSV": "", "HDOP": "", "alt": "", "sep": "", "diffStation": ""}
-        sentences = {
-            "GGA": {**place, "quality": 6, **unknown},
-            "RMC": {**place, **motion, **today},
-            "HDT": {"headingT": heading, "headingTu": "T"},
-            "ROT": {"rot": rate, "valid": "A"},
-        }
-        made = self._library.NMEAMessage
-        return b"".join(
-            made(OWN, kind, 0, hpnmeamode=1, **fields).serialize()
-            for kind, fields in sentences.items()
-        )
-
-    def close(self) -> None:
-        """Let go of the socket."""
-        self._socket.close()

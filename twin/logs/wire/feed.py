@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, PSI, V
-from twin.live.protocols.sockets import Address, open_socket
 from twin.logs.datum import Plane
+from twin.logs.wire.sockets import Address, open_socket
 from twin.particulars import Particulars
 
 __all__ = [
@@ -58,7 +58,8 @@ RESTART = 3.0
 """... and after so much time of the stream, s, with only late ones, its clock was restarted."""
 
 MEMORY = 10.0
-"""A message that comes a second time within this, s, is known again."""
+"""A message that comes a second time within this, s, is known again; a clock that is farther ahead
+of its messages was set."""
 
 SAME = 1e-3
 """Times that differ by less, s, are one."""
@@ -218,7 +219,7 @@ class Feed(ABC):
         self._base: float | None = None
         self._zero: float | None = None
         self._head = self._timed = self._released = -math.inf
-        self._stale = math.inf
+        self._stale, self._leap = math.inf, 0.0
         self._seen: dict[tuple[str, int], float] = {}
         self._last: dict[str, tuple[Message, float]] = {}
         self._buffer: list[tuple[float, int, dict[str, float]]] = []
@@ -246,7 +247,7 @@ class Feed(ABC):
             f"no {what} has come: taken as {text}"
             for what, (names, text) in taken.items()
             if self.commanded.isdisjoint(names)
-        )
+        ) + ((f"the sender's clock leapt ahead by {self._leap:.0f} s",) if self._leap else ())
 
     def take(self) -> list[tuple[float, Array, Array]]:
         """Return the rows that are complete, oldest first: time, measurements (19,), commands (4,).
@@ -340,6 +341,8 @@ class Feed(ABC):
             nearest = max(self._timed, self._released)
             turns = round((nearest + self._base - stamp) / self.modulus)
             t = stamp + turns * self.modulus - self._base
+            leap = t - max(self._map.at(arrival), self._head)
+            self._leap = max(self._leap, leap if leap > MEMORY else 0.0)
         key = kind, round(t / SAME)
         behind = t < self._released + SAME / 2  # stamps in other units may round to slightly later
         if behind:

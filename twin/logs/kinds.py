@@ -1,0 +1,88 @@
+"""Files of other kinds than a log of columns: what they are, and what to do with them."""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["is_nmea", "kind_of", "mcap_kind"]
+
+_NMEA_LINE = re.compile(rb"^(\\[^\\\r\n]*\\)?[$!][A-Z][A-Z0-9]{3,5},[^\r\n]*", re.MULTILINE)
+"""A sentence of NMEA 0183, behind a TAG block or not."""
+
+_MAGIC = {
+    b"#ROSBAG V": "a ROS 1 bag; give it the ending .bag",
+    b"ULog": "a log of PX4; make CSV of its topics: ulog2csv FILE, and join them by their time",
+    b"\xa3\x95": "a DataFlash log of ArduPilot; give it the ending .bin",
+    b"PK\3\4": "a spreadsheet or another packed file; save it as CSV in UTF-8",
+    b"\x89HDF": "an HDF5 or MATLAB file; write its columns as CSV",
+    b"MATLAB 5.0": "a MATLAB file; write its columns as CSV, with writetable",
+    b"SQLite format 3": "a database, as ROS 2 bags are; of these give it the ending .db3",
+    b"\x89MCAP0": "an MCAP; give it the ending .mcap",
+}
+"""How binary files begin."""
+
+_BY_HAND = "make CSV of it, with a column each for time, place, heading and commands"
+
+_TEXTS = {
+    rb"\s*<(\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<?gpx\b": (
+        "a GPX track: places and times, but neither headings nor commands; make CSV of it "
+        "(gpsbabel -t -i gpx -f IN -o unicsv -F OUT.csv) and join those of another log"
+    ),
+    rb"\s*<": f"XML; {_BY_HAND}",
+    rb"\s*(\(\d+\.\d+\)\s+)?v?s?l?can\d+\s+[0-9A-Fa-f]+(#|\s+\[\d)": (
+        "a record of a CAN bus, as candump writes it; decode it (for NMEA 2000: candump2analyzer "
+        "< IN | analyzer -json) and make CSV of that"
+    ),
+    rb"\s*\{.{0,2000}\"(updates|context)\"\s*:": (
+        f"a file of Signal K deltas, one JSON object a line; {_BY_HAND}"
+    ),
+    rb"\s*[\[{]": f"JSON; {_BY_HAND}",
+    rb"FMT,\s*\d+,\s*\d+,": (
+        "a DataFlash log of ArduPilot as text; give the .bin that it was made of, whose messages "
+        "are known"
+    ),
+    rb"!(Boat|boat|v\d)": (
+        "a log of Expedition: pairs of number and value; export it there as CSV, with a column "
+        "for each channel"
+    ),
+    rb"(\s*[A-Za-z_ ]+:\s*-?\d[\d.]*\s*([,;]\s*|\r?$)){2,}": (
+        "a file of lines of names and values; write the names once, as a header, and the values "
+        "alone below it"
+    ),
+}
+"""How texts begin, and what they are."""
+
+
+def is_nmea(start: bytes) -> bool:
+    """Return whether most lines of a start are sentences; the first and the last may be cut."""
+    lines = sum(1 for line in start.splitlines() if line.strip())
+    sentences = len(_NMEA_LINE.findall(start))
+    return sentences > 0 and sentences >= 0.5 * (lines - 2)
+
+
+def kind_of(start: bytes) -> str:
+    """Return what a file that begins so is, and the way from it to a log; nothing of CSV."""
+    for magic, what in _MAGIC.items():
+        if start.startswith(magic):
+            return what
+    if is_nmea(start):
+        return (
+            "a log of NMEA 0183, whose sentences are known: it needs no mapping, or one with "
+            "constants for commands that it lacks, such as n_rps = 0.0 and delta_rad = 0.0"
+        )
+    for pattern, what in _TEXTS.items():
+        if re.match(pattern, start.removeprefix(b"\xef\xbb\xbf"), re.MULTILINE | re.DOTALL):
+            return what
+    return ""
+
+
+def mcap_kind(start: bytes) -> str:
+    """Return what an MCAP holds that is no bag of ROS, and the way from it to a log."""
+    for encoding in (b"jsonschema", b"json", b"protobuf", b"flatbuffer", b"ros1"):
+        if encoding in start:
+            name = {b"jsonschema": "JSON", b"json": "JSON"}.get(encoding, encoding.decode())
+            return (
+                f"an MCAP of {name} messages, as of Foxglove or BlueOS, not of ROS 2; make CSV of "
+                "its topics (mcap cat --json IN.mcap) and name their columns in a mapping"
+            )
+    return ""

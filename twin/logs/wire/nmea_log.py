@@ -1,0 +1,105 @@
+"""Text logs of NMEA 0183 as columns of a log, by the feed that reads the sentences live."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from twin.channels import COMMANDS, MEASUREMENTS, TIME
+from twin.logs.columns import Array
+from twin.logs.errors import LogError
+from twin.logs.files import cannot_be_read
+from twin.logs.kinds import is_nmea
+from twin.logs.mapping import Layout
+from twin.logs.readers import MAX_ROWS, Table, date_of, name_of, said, thinned, too_long
+from twin.logs.wire.feed import Message
+from twin.logs.wire.nmea import DAY, NmeaFeed
+from twin.particulars import Particulars
+
+__all__ = ["is_nmea_log", "read_nmea_log"]
+
+_RMC = re.compile(rb"RMC,\d+(?:\.\d*)?,A(?:,[^,]*){6},(\d{6}),")
+"""The date of an RMC that has a fix."""
+
+_ANY = Particulars(name="", length=2.0, beam=1.0, draft=0.2, mass=100.0, speed=1.0, shaft_speed=1.0)
+"""A feed wants a boat, for the commands that do not come; those are left out here."""
+
+
+def is_nmea_log(path: Path) -> bool:
+    """Return whether most lines at the start of a file are sentences."""
+    try:
+        with path.open("rb") as file:
+            return is_nmea(file.read(4096))
+    except OSError:
+        return False  # said by those who read it
+
+
+def _times(path: Path, lines: Sequence[bytes]) -> Array:
+    """Return the time of each line, s: of those that state none, evenly between those that do."""
+    feed, stamps = NmeaFeed(None, _ANY), np.full(len(lines), np.nan)
+    for k, line in enumerate(lines):
+        for item in feed.decode(line):
+            if isinstance(item, Message) and item.stamp is not None:
+                stamps[k] = item.stamp
+    known = np.flatnonzero(np.isfinite(stamps))
+    if not len(known):
+        raise LogError(f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA)")
+    times = np.unwrap(stamps[known], period=DAY)
+    return np.interp(np.arange(len(lines)), known, np.maximum.accumulate(times))
+
+
+def read_nmea_log(path: Path, layout: Layout | None) -> Table:
+    """Return the columns of a text log of sentences; a mapping gives constants and [rows] alone.
+
+    LogError: it cannot be read, or no sentence tells the time.
+    """
+    layout = layout or Layout()
+    for entry in layout.entries:
+        if entry.sources:
+            raise LogError(
+                f"{layout.source}: {entry.names[0]}: the sentences of an NMEA log are known; give "
+                "constants alone, such as n_rps = 0.0"
+            )
+    try:
+        lines = [line + b"\r\n" for line in path.read_bytes().splitlines() if line.strip()]
+    except OSError as error:
+        raise cannot_be_read(path, error) from None
+    times = _times(path, lines)
+    now = float(times[0])
+    feed = NmeaFeed(None, _ANY, clock=lambda: now)
+    rows = []
+    for line, now in zip(lines, times.tolist(), strict=True):
+        feed.receive(line, now)
+        rows += feed.take()
+        if len(rows) > MAX_ROWS:
+            raise too_long(str(path))
+    now += DAY
+    rows += feed.take()
+    if not rows:
+        raise LogError(f"{path}: no sentence holds a measurement: {'; '.join(feed.notes)}")
+    t, z, cmd = (np.array(part) for part in zip(*rows, strict=True))
+    data: dict[str, Array] = {TIME: t}
+    data |= {name: cmd[:, k] for k, name in enumerate(COMMANDS) if name in feed.commanded}
+    seen = np.isfinite(z).any(axis=0)
+    data |= {name: z[:, k] for k, name in enumerate(MEASUREMENTS) if seen[k]}
+    for entry in layout.entries:
+        data |= {key: np.full(len(t), value) for key, value in entry.columns([]).items()}
+    notes = [note for note in feed.notes if "taken as" not in note]
+    notes.append(", ".join(f"{name} {count}" for name, count in feed.counts.items() if count))
+    epoch, day = None, _RMC.search(b"".join(lines))
+    if day is not None:
+        midnight = datetime.strptime(day[1].decode(), "%d%m%y").replace(tzinfo=UTC).timestamp()
+        epoch = midnight + feed.stamp_of(0.0)
+        notes.append(f"t_s: counted from {date_of(epoch)}")
+    data = thinned(data[TIME], data, layout)
+    t = data[TIME]
+    notes += said(layout, len(rows), len(t))
+    given = {name: name for name in data}
+    return Table(
+        str(path), name_of(path), data, given, lambda row: f"t = {t[row]:.6g} s", notes,
+        feed.plane, epoch,
+    )  # fmt: skip
