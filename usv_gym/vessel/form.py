@@ -25,7 +25,7 @@ class Form:
     waterplane: float | None = None
     # centre of buoyancy, m forward of the origin; default where the lines put it
     buoyancy: float | None = None
-    # mean height of hull and superstructure above the water, m; default from the length
+    # mean height of hull and deck above the water, m; default from the length
     height: float | None = None
     # steerable_drive, propeller_rudder or thruster_pair, as in a vessel file
     kind: str = "steerable_drive"
@@ -106,7 +106,7 @@ class Form:
 
     @cached_property
     def above(self) -> float:
-        """Mean height of hull and superstructure above the water, m."""
+        """Mean height of hull and deck above the water, m."""
         if self.height is not None:
             return self.height
         L = self.overall

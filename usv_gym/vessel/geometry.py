@@ -5,12 +5,12 @@ Source: Qu et al. 2025, section 2.2.5.
 
 from __future__ import annotations
 
+from usv_gym.vessel.deck import fixed_parts
 from usv_gym.vessel.drives import propulsion_parts
 from usv_gym.vessel.form import Form
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.mesh import Mesh
 from usv_gym.vessel.parts import COLOURS, Boat, Part
-from usv_gym.vessel.superstructure import fixed_parts
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = ["COLOURS", "Boat", "Form", "Mesh", "Part", "boat_of", "hull_of"]

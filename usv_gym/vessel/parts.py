@@ -15,7 +15,6 @@ Colour = tuple[int, int, int]
 COLOURS: dict[str, Colour] = {
     "hull": (32, 74, 112),
     "deck": (196, 202, 206),
-    "superstructure": (240, 241, 238),
     "drive": (62, 68, 74),
     "propeller": (181, 134, 52),
 }
