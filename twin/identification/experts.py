@@ -65,8 +65,8 @@ JOINT, PRIOR = REFITS, REFITS + 1
 
 EXPERTS = REFITS + 2
 
-SHARE = 0.01
-"""Probability that another expert becomes the best from one segment to the next: once in 200 s."""
+SHARE = 0.02
+"""Probability that another expert becomes the best from one segment to the next: once in 100 s."""
 
 ERRORS = 0.5
 """Independent errors n in a forecast. Segments overlap, and their errors are of a few waves."""
