@@ -15,7 +15,6 @@ from twin.cli.common import (
     DofOption,
     HsOption,
     MappingOption,
-    OptionError,
     PredictorOption,
     SeaOption,
     SensorsOption,
@@ -29,7 +28,6 @@ from twin.cli.common import (
 )
 from twin.digital_twin import Twin
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
-from twin.live.protocols.reply import NmeaReply
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.wire.feed import Feed
@@ -48,7 +46,6 @@ from usv_gym.world.sea import SeaState
 
 if TYPE_CHECKING:
     from twin.live.sessions.session import Session
-    from twin.live.ui.access import Access
 
 
 def view_command(
@@ -72,10 +69,6 @@ def view_command(
             "Stable-Baselines3 (.zip), a run's folder, a controller, or module:Class. Degrees of "
             "freedom and time of an episode are those of its training.",
         ),
-    ] = None,
-    reply: Annotated[
-        str | None,
-        typer.Option(help="Address to send the twin's estimate to as NMEA 0183: udp://HOST:PORT."),
     ] = None,
     vessel: Annotated[
         str | None,
@@ -113,21 +106,6 @@ def view_command(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for logs that are recorded.")
     ] = Path(),
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address of the page. All but those of loopback are open to other machines, and "
-            "need a token."
-        ),
-    ] = "127.0.0.1",
-    token: Annotated[
-        str | None,
-        typer.Option(
-            envvar="USV_TWIN_TOKEN",
-            help="What a browser must present, in the address. Default: none on loopback, else a "
-            "new one.",
-        ),
-    ] = None,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
     ] = 8080,
@@ -140,16 +118,11 @@ def view_command(
     needed("viser")  # before anything is compiled
     from twin.live.sessions.feed import FeedSession
     from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
-    from twin.live.ui.access import Access, check_host
 
-    check_host(host)
-    access = Access.of(host, token)
     sources = ("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink), ("--policy", policy)
     given = [name for name, one in sources if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
-    if reply is not None and nmea is None:
-        raise OptionError("--reply goes with --nmea; usv-twin link sends to an autopilot")
     session: Session
     if log is not None:
         session = _log_session(log, mapping, vessel, predictor, plan, out)
@@ -160,8 +133,7 @@ def view_command(
         else:
             servos = Servos.of(twin.particulars, shaft_max, radians(steer_max))
             feed = MavlinkFeed(str(mavlink), twin.particulars, servos=servos)
-        answer = None if reply is None else NmeaReply(reply)
-        session = FeedSession(feed, twin, shown, out, answer)
+        session = FeedSession(feed, twin, shown, out)
     elif policy is not None:
         options = {"sea": changing_sea(SeaState.named(sea), hs, wind, wind_from)}
         losses = parse_faults(faults, FAULT_START_S)
@@ -182,7 +154,7 @@ def view_command(
         for line in session.notes:
             note(line)
     session.set_scale(speed)
-    show_session(session, access, port)
+    show_session(session, port)
 
 
 def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
@@ -198,26 +170,17 @@ def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) ->
     return PolicySession(agent, out, **trained_with([agent], given), **options)
 
 
-def show_session(session: Session, access: Access, port: int) -> None:
+def show_session(session: Session, port: int) -> None:
     """Serve a session until Ctrl-C, or until it ends."""
-    from twin.live.ui.access import is_loopback
     from twin.live.ui.viewer import Viewer
 
-    viewer = Viewer(session, access.host, port, access)
+    viewer = Viewer(session, port)
     for kind in (signal.SIGINT, signal.SIGTERM):  # also where a shell ignores them
         signal.signal(kind, signal.default_int_handler)
     try:
         session.start()
         if viewer.port != port:
             note(f"port {port} is in use")
-        if not is_loopback(access.host):
-            note(
-                f"{access.host} is open to other machines, without encryption: whoever has the "
-                "token can see this boat, use the controls of its page, and record logs to the "
-                "folder of --out"
-            )
-            if "localhost" in viewer.url:
-                note("on another machine, put the address of this one for localhost")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False, soft_wrap=True)
         viewer.serve()
     except KeyboardInterrupt:

@@ -81,7 +81,7 @@ class Wire:
     def balance(self) -> dict[str, int]:
         """Return the counts above 0; each message counts in one way."""
         counts = self.feed.counts
-        ways = ("used", "late", "doubled", "broken", "void", "unknown", "own")
+        ways = ("used", "late", "doubled", "broken", "void", "unknown")
         assert counts["received"] == sum(counts[way] for way in ways)
         return {name: count for name, count in counts.items() if count}
 

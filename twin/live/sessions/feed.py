@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS
 from twin.digital_twin import Twin
-from twin.live.protocols.reply import NmeaReply
 from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
@@ -25,9 +24,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-REPLY_EVERY_S = 0.2
-"""Time between two answers to a feed."""
-
 SILENT_AFTER_S = 2.0
 """Time of the clock without a row after which a feed counts as silent."""
 
@@ -35,28 +31,18 @@ SILENT_AFTER_S = 2.0
 class FeedSession(Session):
     """A real boat, or an autopilot's simulator, as it comes over the wire.
 
-    The twin's estimate goes to ``reply``. Feed and reply are closed at the end. Logs are recorded
-    to ``folder``.
+    The feed is closed at the end. Logs are recorded to ``folder``.
     """
 
-    def __init__(
-        self,
-        feed: Feed,
-        twin: Twin,
-        vessel: Vessel | None,
-        folder: Path,
-        reply: NmeaReply | None = None,
-    ) -> None:
+    def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
         super().__init__(vessel, twin.particulars, folder)
-        self.feed, self.reply = feed, reply
+        self.feed = feed
         self.monitor, self._cmd = TwinMonitor(twin), np.zeros(len(COMMANDS))
-        self._answered, self._heard = -math.inf, math.nan
+        self._heard = math.nan
         self._waiting: deque[tuple[float, Array, Array]] = deque()
 
     def _close(self) -> None:
         self.feed.close()
-        if self.reply is not None:
-            self.reply.close()
         super()._close()
 
     def _advance(self) -> None:
@@ -73,15 +59,9 @@ class FeedSession(Session):
         monitor = self.monitor
         if not math.isfinite(monitor.t):
             return None
-        now = time.monotonic()
-        silence = now - self._heard
+        silence = time.monotonic() - self._heard
         silence = silence if silence > SILENT_AFTER_S else 0.0
         boat = measured_boat(monitor.measured, self._cmd)
-        # no estimate goes out for a boat that is no longer heard of
-        due = silence == 0.0 and now >= self._answered + REPLY_EVERY_S
-        if self.reply is not None and self.feed.plane is not None and due:
-            self._answered, estimate = now, monitor.twin.estimate()
-            self.reply.send(self.feed.plane, self.feed.stamp_of(estimate.t), estimate)
         return self._seen(boat, silence, notes=self.notes)
 
     @property

@@ -13,15 +13,17 @@ from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from twin.live.ui.access import Access, AccessError
+from twin.live.ui.access import HEADERS, AccessError, refusal
 
 __all__ = [
     "start_server",
 ]
 
+HOST = "127.0.0.1"
 
-def start_server(access: Access, port: int) -> viser.ViserServer:
-    """Start viser's server at the host of an access, and at a port or the next free one.
+
+def start_server(port: int) -> viser.ViserServer:
+    """Start viser's server on loopback, at a port or the next free one.
 
     Raises
     ------
@@ -29,11 +31,11 @@ def start_server(access: Access, port: int) -> viser.ViserServer:
         If this release of viser does not serve in a way that can be checked.
     """
     with (
-        _checked_by(access) as starts,
+        _checked() as starts,
         # the server prints its address; the command does so in one line
         contextlib.redirect_stdout(io.StringIO()),
     ):
-        server = viser.ViserServer(host=access.host, port=port, label="usv-twin", verbose=False)
+        server = viser.ViserServer(host=HOST, port=port, label="usv-twin", verbose=False)
     if not starts:
         server.stop()
         raise AccessError(
@@ -44,7 +46,7 @@ def start_server(access: Access, port: int) -> viser.ViserServer:
 
 
 @contextlib.contextmanager
-def _checked_by(access: Access) -> Iterator[list[int]]:
+def _checked() -> Iterator[list[int]]:
     """Let viser, which has no hook for it, start its server with our check; yield its starts."""
     plain, starts = websockets_server.serve, []
     # anybody can send a request that is none
@@ -56,7 +58,7 @@ def _checked_by(access: Access) -> Iterator[list[int]]:
         starts.append(1)
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
-            return _answer(access, process_request, connection, request)
+            return _answer(process_request, connection, request)
 
         return plain(handler, *arguments, **options, process_request=answer, logger=silent)
 
@@ -68,19 +70,18 @@ def _checked_by(access: Access) -> Iterator[list[int]]:
 
 
 def _answer(
-    access: Access,
     pages: Callable[[ServerConnection, Request], Response | None],
     connection: ServerConnection,
     request: Request,
 ) -> Response | None:
     """Refuse a request, or let viser answer it."""
     try:
-        refused = access.refusal(request)
+        refused = refusal(request)
         if refused is not None:
             return connection.respond(403, f"{refused}\n")
         response = pages(connection, request)
         if response is not None:
-            response.headers.update(access.headers(request))
+            response.headers.update(HEADERS)
         return response
     except Exception:  # no host or two of them, a path that is none
         return connection.respond(400, "This request cannot be read.\n")

@@ -8,7 +8,6 @@ import time
 from typing import Any
 
 from twin.live.sessions.session import Session, Snapshot
-from twin.live.ui.access import Access, check_host
 from twin.live.ui.curves import Curves
 from twin.live.ui.panel import controls_of
 from twin.live.ui.scene import SceneView
@@ -29,22 +28,13 @@ UNWATCHED = 1.0
 class Viewer:
     """Shows a session, which its owner starts and stops, to every browser that asks.
 
-    It listens at ``host``, loopback unless others are to see it too, and at ``port``, or the next
-    free one. ``access`` says which browsers may connect; without it, those of :meth:`Access.of`.
-    ``frames`` counts the frames that were made.
+    It listens on loopback at ``port``, or the next free one. ``frames`` counts the frames that were
+    made.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        access: Access | None = None,
-    ) -> None:
-        check_host(host)
+    def __init__(self, session: Session, port: int = 8080) -> None:
         self.session, self.frames = session, 0
-        self.access = access or Access.of(host)
-        self.server: Any = start_server(self.access, port)
+        self.server: Any = start_server(port)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.scene = SceneView(self.server, boat(session))
         self.controls = controls_of(self.server, session)
@@ -55,10 +45,7 @@ class Viewer:
     @property
     def url(self) -> str:
         """Where browsers find it."""
-        host = self.server.get_host()
-        shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
-        token = f"/?token={self.access.token}" if self.access.token is not None else ""
-        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}{token}"
+        return f"http://{self.server.get_host()}:{self.port}"
 
     @property
     def port(self) -> int:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, PSI, V
+from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.datum import Plane
 from twin.logs.wire.sockets import Address, open_socket
 from twin.particulars import Particulars
@@ -29,7 +29,6 @@ __all__ = [
     "COUNTS",
     "Feed",
     "Message",
-    "velocity_over_ground",
 ]
 
 Array = NDArray[np.float64]
@@ -44,7 +43,6 @@ COUNTS = {
     "broken": "with a wrong or no checksum, cut off, or with impossible values",
     "void": "whose sender says itself that they hold nothing valid, as without a fix",
     "unknown": "sound, but of a kind or a sender that is not followed",
-    "own": "what we sent ourselves and came back to us",
 }
 """What is counted. ``received`` is the sum of used, late, doubled, broken, void, unknown, own."""
 
@@ -114,13 +112,6 @@ class Message:
             math.isfinite(value) and abs(value) <= LIMITS[name]
             for name, value in self.values.items()
         )
-
-
-def velocity_over_ground(state: Array) -> tuple[float, float]:
-    """Return the velocity north and east, m/s, of a state (6,)."""
-    psi, u, v = state[PSI : V + 1].tolist()
-    c, s = math.cos(psi), math.sin(psi)
-    return u * c - v * s, u * s + v * c
 
 
 MOMENT = 1e-6
@@ -226,7 +217,7 @@ class Feed(ABC):
         self._ready: list[tuple[float, Array, Array]] = []
         self._order = itertools.count()
         self._arrival = -math.inf
-        self._socket = None if address is None else open_socket(address, bind=True)[0]
+        self._socket = None if address is None else open_socket(address)
 
     @abstractmethod
     def decode(self, data: bytes) -> Iterator[Message | str]:

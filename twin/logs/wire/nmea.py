@@ -40,7 +40,6 @@ from twin.logs.wire.sockets import FeedError, needed
 __all__ = [
     "DAY",
     "KNOT",
-    "OWN",
     "NmeaFeed",
 ]
 
@@ -58,9 +57,6 @@ BETTER |= {kind: HEADINGS[:k] for k, kind in enumerate(HEADINGS)}
 
 NOTED = 8
 """Most kinds of sentences that a note names."""
-
-OWN = "U9"
-"""Talker of what the twin says."""
 
 LENGTH_MAX = 1024
 """Longest line that counts as a sentence, characters."""
@@ -183,8 +179,6 @@ class NmeaFeed(Feed):
         content, talker, kind, fields, checksum = self._library.get_parts(line)
         if self._library.calc_checksum(content) != checksum.upper():
             return "broken"
-        if talker == OWN:
-            return "own"
         if kind not in _READERS or (talker == "P") != (kind == "ASHR"):
             self._others.add(f"P{kind}" if talker == "P" else kind)
             return "unknown"

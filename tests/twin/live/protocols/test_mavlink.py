@@ -17,7 +17,6 @@ from twin.channels import (
     GYRO_Y,
 )
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.logs.wire.feed import velocity_over_ground
 from twin.particulars import Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 
@@ -218,7 +217,8 @@ def test_odometry_of_a_heeled_boat_is_turned_back_by_its_quaternion() -> None:
     assert np.arctan2(turn[2, 1], turn[2, 2]) == pytest.approx(0.1)
     assert -np.arcsin(turn[2, 0]) == pytest.approx(-0.05)
     assert np.arctan2(turn[1, 0], turn[0, 0]) == pytest.approx(0.3)
-    north, east = velocity_over_ground(estimate.state)
+    psi, (u, v) = estimate.state[2], estimate.state[3:5]
+    north, east = u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)
     ahead = turn @ [odometry.vx, odometry.vy, odometry.vz]
     assert ahead == pytest.approx([north, east, 0.25], abs=1e-6)
     assert odometry.z == pytest.approx(0.2)

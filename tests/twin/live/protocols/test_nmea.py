@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 import math
-import socket
-from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of, example
+from tests.twin.live.wire import Wire, example
 from twin.channels import (
     AHRS_PITCH,
     AHRS_ROLL,
@@ -19,8 +17,6 @@ from twin.channels import (
     WIND_FROM,
     WIND_SPEED,
 )
-from twin.live.protocols.reply import NmeaReply
-from twin.logs.datum import Plane
 from twin.logs.wire.nmea import KNOT, NmeaFeed
 from twin.particulars import Particulars
 
@@ -122,7 +118,6 @@ def test_commands_are_read(
         ("WIMWV,30.0,R,1e9,M,A", "broken"),
         ("WIMWD,,T,,M,,N,,M", "void"),
         ("WIMWD,-3.0,T,,M,1.0,N,1.0,M", "broken"),
-        ("U9HDT,270.0,T", "own"),
     ],
 )
 def test_what_is_no_measurement_is_counted(wire: Wire, body: str, way: str) -> None:
@@ -164,33 +159,6 @@ def test_tag_blocks_tell_the_time(wire: Wire, unit: str) -> None:
         wire.tell(line(f"HEHDT,{10 * i}.0,T", tag))  # all at once, as a file is sent
     wire.take(after=1.0)
     assert [t for t, _, _ in wire.rows] == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0])
-
-
-def test_the_estimate_goes_out_as_sentences(usv: Particulars) -> None:
-    plane, estimate = Plane(-59.5, -179.9999), estimate_of(20.0)  # and the boat is west of 180
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
-        reply = NmeaReply(f"udp://127.0.0.1:{receiver.getsockname()[1]}")
-        reply.send(plane, 10.0, replace(estimate, ready=False))
-        reply.send(plane, 10.0, estimate)
-        data = receiver.recv(4096)
-        reply.close()
-    lines = data.decode().splitlines(keepends=True)
-    assert all(len(text) <= 82 for text in lines)
-    gga, rmc, hdt, rot = (pynmeagps.NMEAReader.parse(text) for text in lines)
-    assert gga.talker == "U9" and (gga.quality, gga.payload[0]) == (6, "000010.00")
-    latitude, longitude = plane.degrees(100.0, -50.0)
-    assert longitude > 179.0
-    assert (gga.lat, gga.lon) == pytest.approx((latitude, longitude), abs=1e-8)
-    assert (rmc.status, rmc.posMode) == ("A", "E")
-    assert rmc.spd == pytest.approx(math.hypot(5.0, 0.5) * 3600 / 1852, abs=1e-3)
-    assert rmc.cog == pytest.approx(math.degrees(0.3 + math.atan2(0.5, 5.0)), abs=1e-3)
-    assert hdt.headingT == pytest.approx(math.degrees(0.3), abs=1e-3)
-    assert rot.rot == pytest.approx(60.0 * math.degrees(0.1), abs=1e-3)
-    wire = Wire(NmeaFeed, usv)  # what is ours is no measurement
-    wire.tell(data)
-    assert wire.balance() == {"received": 4, "own": 4}
 
 
 @pytest.mark.parametrize(
