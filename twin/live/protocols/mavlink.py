@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twin.channels import R, U, V, X, Y
-from twin.logs.wire.feed import Feed, Message, velocity_over_ground
+from twin.channels import PSI, R, U, V, X, Y
+from twin.logs.wire.feed import Feed, Message
 from twin.logs.wire.sockets import Address, needed
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.base import Estimate
@@ -84,7 +84,8 @@ class JumpCounter:
 
     def take(self, t: float, state: Array) -> int:
         """Take a time (s) and state (6,), in order; return the count, from 0 to 255."""
-        north, east = velocity_over_ground(state)
+        psi, u, v = state[PSI : V + 1].tolist()
+        north, east = u * math.cos(psi) - v * math.sin(psi), u * math.sin(psi) + v * math.cos(psi)
         if self._last is not None:
             before, x, y, vx, vy = self._last
             dt = t - before
