@@ -217,7 +217,7 @@ class Feed(ABC):
         self._ready: list[tuple[float, Array, Array]] = []
         self._order = itertools.count()
         self._arrival = -math.inf
-        self._socket = None if address is None else open_socket(address)
+        self._socket = None if address is None else open_socket(address, bind=True)[0]
 
     @abstractmethod
     def decode(self, data: bytes) -> Iterator[Message | str]:

@@ -46,8 +46,8 @@ def parse_address(address: str) -> tuple[str, int]:
     return parts.hostname or "127.0.0.1", port
 
 
-def open_socket(address: str) -> socket.socket:
-    """Return a UDP socket that listens at an address and never blocks."""
+def open_socket(address: str, *, bind: bool) -> tuple[socket.socket, Address]:
+    """Return a UDP socket that never blocks, to listen (``bind``) or to send, and its address."""
     host, port = parse_address(address)
     try:
         known = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -58,14 +58,15 @@ def open_socket(address: str) -> socket.socket:
     made.setblocking(False)
     # instruments are often on a broadcast address
     made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-    with contextlib.suppress(OSError):  # as much as the system grants
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-    try:
-        made.bind(found)
-    except OSError as error:
-        made.close()
-        raise FeedError(
-            f"{address}: cannot listen there ({error.strerror}); stop what uses the port, or "
-            "name another port, or an address of this machine"
-        ) from None
-    return made
+    if bind:
+        with contextlib.suppress(OSError):  # as much as the system grants
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        try:
+            made.bind(found)
+        except OSError as error:
+            made.close()
+            raise FeedError(
+                f"{address}: cannot listen there ({error.strerror}); stop what uses the port, or "
+                "name another port, or an address of this machine"
+            ) from None
+    return made, found
