@@ -174,7 +174,7 @@ def fit(structure, run):
     rows[:, rows_of.LOW : rows_of.WIND] = run.states[:, 3:]
     rows[:, rows_of.GOOD] = 1.0
     rows[:, rows_of.ACT : rows_of.MIDDLE] = run.actuators * shafts
-    rows[:-1, rows_of.MIDDLE : rows_of.COMMAND] = run.between * shafts
+    rows[:-1, rows_of.MIDDLE :] = run.between * shafts
     starts = range(0, len(rows) - HORIZON, STRIDE)
     xi = structure.mean
     # errors one second ahead are nearly linear in the parameters: a safe start for the long horizon

@@ -10,8 +10,8 @@ were. The parameters are those that make the errors of all segments small,
 with n_i errors in segment i and a free offset d of the initial u, v, r. rho(q) is q up to ``knee``,
 and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A
 segment that a gust or a wave group has disturbed counts less, as if its weight were min(1, knee /
-q). ``scale`` makes up for errors that are correlated from sample to sample. Refits with other
-weights of the data multiply what all the segments say, see :mod:`twin.identification.evidence`.
+q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust`` other than
+1 multiplies what all the segments say, against the prior.
 
 Each segment is kept as a quadratic in xi about the parameters at which it was linearised. The
 offset is removed by its Schur complement. So a refit costs a sum of small matrices. Segments are
@@ -69,11 +69,11 @@ Array = NDArray[Any]
 N_OFFSETS = 3
 
 # columns of a window's rows
-STATE, LOW, WIND, GOOD, ACT, MIDDLE, COMMAND = 0, 6, 9, 11, 12, 16, 20
+STATE, LOW, WIND, GOOD, ACT, MIDDLE = 0, 6, 9, 11, 12, 16
 
-COLUMNS = 24
+COLUMNS = 20
 """Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be
-fitted, actuators then (4) and half a step later (4), command in force (4)."""
+fitted, actuators then (4) and half a step later (4)."""
 
 
 NONE, FIRST = range(2)
@@ -288,7 +288,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
         terms[0, j] = terms[3, j] if j < BY_CURRENT else 0.0
-    drive(row[MIDDLE:COMMAND], terms[1])
+    drive(row[MIDDLE:], terms[1])
     for j in range(LEFT_COS, N_TERMS):
         terms[2, j] = terms[1, j]
     drive(after[ACT:MIDDLE], terms[3])
@@ -361,7 +361,7 @@ def linearise(first, rows, xi, model, config, work, H, b):
 
     After it, sum of squared weighted errors, minimised over the initial offset, is about
     ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi (p,). Returned is c;
-    infinite where the motion leaves all bounds, and nothing is written then. Rows (M, 24) wrap
+    infinite where the motion leaves all bounds, and nothing is written then. Rows (M, 20) wrap
     around at the end of the array.
 
     Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.linalg import cholesky, dot, invert, packed_size, solve_factored
+from twin.identification.change import ChangeWork, change_work
+from twin.identification.interval_scale import RecordWork, record_work
 from twin.identification.prediction_error import (
     LineariseWork,
     RefitConfig,
@@ -29,6 +31,7 @@ from usv_kernel.scalar import fma
 
 __all__ = [
     "ITERATIONS",
+    "Known",
     "RefitWork",
     "SegmentState",
     "Segments",
@@ -39,6 +42,8 @@ __all__ = [
     "segment_state",
     "segment_work",
     "solve",
+    "store_factor",
+    "use",
 ]
 
 Array = NDArray[Any]
@@ -48,16 +53,28 @@ ITERATIONS = 4
 
 
 class SegmentState(NamedTuple):
-    """What the refit of a boat remembers: n segments as quadratics.
+    """What the refit of a boat remembers: n segments as quadratics, and the parameters in use.
 
     A segment's quadratic is ``c - 2 b . d + d' H d`` at parameters d relative to the prior's.
     """
 
+    trust: Any  # (1,) factor of what the segments say, as in use
+    params: Any  # (p,) parameters in use
+    cov: Any  # (p, p) their covariance (Laplace)
     first: Any  # (n,) first row of each segment; -1 where there is none
     c: Any  # (n,) constants
     b: Any  # (n, p) slopes
     at: Any  # (n, p) parameters at which each was linearised
     packed: Any  # (n, h) curvatures H, packed
+
+
+class Known(NamedTuple):
+    """What a refit takes: how far it trusts which segments, and what else is known."""
+
+    trust: Any  # factor of the segments' information
+    since: Any  # segments that begin before this row do not count
+    pull: Any  # (p,) information times the difference of its mean to the prior's; 0 for the prior
+    information: Any  # (h,) inverse of its covariance, packed
 
 
 class SegmentWork(NamedTuple):
@@ -73,18 +90,22 @@ class SegmentWork(NamedTuple):
     inverse: Any  # (p + 1, p) see ``linalg.invert``
     d: Any  # (p,) parameters relative to the prior's
     right: Any  # (p,) right side
+    none: Any  # (p,) zeros
     moved: Any  # (n,) how far parameters have moved since a segment was linearised
 
 
 @inlined
 def segment_state(memory, p, n):
     """Open the memory of n segments."""
-    first, at = take(memory, 0, (n,))
+    trust, at = take(memory, 0, (1,))
+    params, at = take(memory, at, (p,))
+    cov, at = take(memory, at, (p, p))
+    first, at = take(memory, at, (n,))
     c, at = take(memory, at, (n,))
     b, at = take(memory, at, (n, p))
     linearised, at = take(memory, at, (n, p))
     packed, at = take(memory, at, (n, packed_size(p)))
-    return SegmentState(first, c, b, linearised, packed)
+    return SegmentState(trust, params, cov, first, c, b, linearised, packed)
 
 
 @inlined
@@ -101,8 +122,9 @@ def segment_work(work, p, n):
     inverse, at = take(work, at, (p + 1, p))
     d, at = take(work, at, (p,))
     right, at = take(work, at, (p,))
+    none, at = take(work, at, (p,))
     moved, at = take(work, at, (n,))
-    return SegmentWork(H, pull, offset, total, square, lanes, U, inverse, d, right, moved)
+    return SegmentWork(H, pull, offset, total, square, lanes, U, inverse, d, right, none, moved)
 
 
 class RefitWork(NamedTuple):
@@ -110,7 +132,8 @@ class RefitWork(NamedTuple):
 
     line: Any  # LineariseWork
     solve: Any  # SegmentWork
-    evidence: Any  # see ``twin.identification.evidence``
+    change: Any  # see ``twin.identification.change``
+    spread: Any  # see ``twin.identification.interval_scale``
 
 
 @kernel
@@ -236,16 +259,17 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, iterations, damping, state, config, work):
+def solve(xi, known, iterations, damping, state, config, work):
     """Move parameters to the least that the weighted quadratics and the prior make.
 
-    ``iterations`` is the number of robust reweightings. ``damping`` is that of Levenberg and
-    Marquardt in units of the prior's information. Returned is False where rounding has left no
+    ``known`` says which segments count and how far, and what they are added to. ``iterations`` is
+    the number of robust reweightings. ``damping`` is that of Levenberg and Marquardt in units of
+    the prior's information. Returned is False where rounding has left no
     definite matrix; else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
     total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
-    start, prior, information = scratch.inverse[1], config.prior, config.information
+    start, prior, information = scratch.inverse[1], config.prior, known.information
     first, packed, slope = state.first, state.packed, state.b
     scale, knee, samples = config.scale, config.knee, samples_of(config)
     for k in range(p):
@@ -256,7 +280,7 @@ def solve(xi, iterations, damping, state, config, work):
         for k in range(total.shape[0]):
             total[k] = information[k]
         for k in range(p):
-            pull[k] = 0.0
+            pull[k] = known.pull[k]
         if damping > 0.0:
             for k in range(total.shape[0]):
                 total[k] *= 1.0 + damping
@@ -265,10 +289,10 @@ def solve(xi, iterations, damping, state, config, work):
                 for j in range(p):
                     pull[i] += damping * U[min(i, j), max(i, j)] * start[j]
         for i in range(first.shape[0]):
-            if first[i] < 0.0:
+            if first[i] < 0.0 or first[i] < known.since:
                 continue
             q = _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes) / samples
-            weight = scale * (1.0 if q <= knee else knee / q)
+            weight = known.trust * scale * (1.0 if q <= knee else knee / q)
             own, tug = packed[i], slope[i]
             for k in range(total.shape[0]):
                 total[k] = fma(weight, own[k], total[k])
@@ -283,6 +307,24 @@ def solve(xi, iterations, damping, state, config, work):
     return True
 
 
+@kernel
+def store_factor(U, out):
+    """Write the factor (p, p) of the last solution, which is the upper triangle of U."""
+    for i in range(U.shape[0]):
+        for k in range(U.shape[0]):
+            out[i, k] = U[i, k] if k >= i else 0.0  # entries below the diagonal are undefined
+
+
+@kernel
+def use(xi, factor, trust, state, work):
+    """Put parameters to use, and the covariance that belongs to a factor: 0 where it has none."""
+    state.trust[0] = trust
+    for k in range(xi.shape[0]):
+        state.params[k] = xi[k]
+    if factor[0, 0] > 0.0:
+        invert(factor, state.cov, work.solve.inverse)
+
+
 class Segments:
     """The segments of a window as quadratics, and the parameters that suit them best.
 
@@ -290,7 +332,7 @@ class Segments:
     takes the place of the oldest. ``schedule`` is for the compiled predictor: time between refits
     (s), segments that one relinearises, rows between starts, rows of the window, and whether the
     joint filter's parameters are a candidate. ``memory, values, line, scratch`` are flat; ``state,
-    config, work`` are the same by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are the
+    config, work`` are the same by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the
     prior's at first.
     """
 
@@ -327,12 +369,16 @@ class Segments:
         self.config: RefitConfig = python_views(refit_config)(self.values, p)
         self.memory = np.zeros(flat_size(segment_state, p, capacity))
         self.state: SegmentState = python_views(segment_state)(self.memory, p, capacity)
-        self.params, self.cov = self.prior.copy(), self.prior_cov.copy()
+        self.params, self.cov = self.state.params, self.state.cov
         self.line = np.zeros(flat_size(linearise_work, p))
         self.scratch = np.zeros(flat_size(segment_work, p, capacity))
+        self.changes = np.zeros(flat_size(change_work, p, capacity))
         line: LineariseWork = python_views(linearise_work)(self.line, p)
+        changes: ChangeWork = python_views(change_work)(self.changes, p, capacity)
         scratch = python_views(segment_work)(self.scratch, p, capacity)
-        self.work = RefitWork(line, scratch, None)
+        self.spread = np.zeros(flat_size(record_work, p))
+        spread: RecordWork = python_views(record_work)(self.spread, p)
+        self.work = RefitWork(line, scratch, changes, spread)
         self.reset()
 
     @property
@@ -345,6 +391,16 @@ class Segments:
         self.memory[:] = 0.0
         self.state.first[:] = -1.0
         self.params[:], self.cov[:] = self.prior, self.prior_cov
+        self.trust = 1.0
+
+    @property
+    def trust(self) -> float:
+        """How many times more the segments count than ``scale`` and ``knee`` say."""
+        return float(self.state.trust[0])
+
+    @trust.setter
+    def trust(self, value: float) -> None:
+        self.state.trust[0] = value
 
     @property
     def first(self) -> Array:
@@ -383,15 +439,16 @@ class Segments:
         q = self.costs(xi)
         knee, offset = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
-        weight = self.settings.scale * self.samples
+        weight = self.trust * self.settings.scale * self.samples
         return float(weight * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
+        known = Known(self.trust, 0, self.work.solve.none, self.config.information)
         given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
-        if solve(self.params, iterations, damping, *given) and damping == 0.0:
-            invert(self.work.solve.U, self.cov, self.work.solve.inverse)
+        if solve(self.params, known, iterations, damping, *given) and damping == 0.0:
+            use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
         """Iterate to the least of the true objective; return whether it converged.
@@ -403,7 +460,7 @@ class Segments:
         self.relinearise(rows, many)
         best = self.objective(self.params)
         for _ in range(iterations):
-            kept = self.memory.copy(), self.params.copy()
+            kept = self.memory.copy()
             self.solve(1, damping)
             self.relinearise(rows, many)
             reached = bool((self.state.at[self.first >= 0] == self.params).all())
@@ -415,7 +472,10 @@ class Segments:
                     self.solve(1)
                     return True
             else:
-                self.memory[:], self.params[:] = kept
+                # the covariance belongs to the parameters that are restored here
+                cov = self.cov.copy()
+                self.memory[:] = kept
+                self.cov[:] = cov
                 damping = max(4.0 * damping, 1e-2)
                 if damping > 1e8:
                     return True

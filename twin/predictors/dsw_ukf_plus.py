@@ -1,14 +1,20 @@
 """DSW-UKF+: the twin that refits its model to the last minutes, and says how sure it is.
 
-The tight navigation filter and a low-frequency observer, held to its velocities, say where the boat
-is and what its waves are (:mod:`twin.identification.wave_residual`). Refits of the last minutes'
-multi-step prediction errors with three weights of the data, which forget thrust and current where
-the evidence says that these have changed (:mod:`twin.identification.evidence`), a joint filter and
-the prior are experts for the parameters, of which fixed share picks one by its own forecasts
-(:mod:`twin.identification.experts`). The forecast is the model's motion from the observer's state,
-with parameters shrunk to the prior where it leaves what was seen, and the waves of the moment.
-Its intervals come from draws of parameters, start and waves, and are as many times wider as
-adaptive conformal inference finds that they must be (:mod:`twin.identification.conformal`).
+Four things work together:
+
+1. the tight navigation filter and the joint UKF of :class:`twin.predictors.ukf.UKFPredictor`, which
+   carry state and parameters from row to row, through losses of sensors as well;
+2. the refit of :mod:`twin.identification.prediction_error`: every second the parameters (and their
+   covariance) become those that would have predicted the last minutes best, starting from a prior
+   with full covariance; the joint filter goes on from there;
+3. a low-frequency observer, the model held to the navigation's velocities by a gain of 0.5 /s:
+   predictions start from it, because waves are no part of the model, and what it leaves of the
+   measured velocities is taken for waves (:mod:`twin.identification.wave_residual`);
+4. prediction intervals from draws: of the parameters, of the start, and of the waves to come,
+   which are those of the headings ahead, and move the low-frequency motion as the observer would.
+
+Where the predicted motion leaves what the boat was ever seen to do, the parameters are shrunk to
+the prior until it does not (:data:`twin.identification.joint_ukf.PRIOR_SHRINKAGE`).
 
 Source: docs/explanation/twin.md, The refit; Waves and prediction intervals.
 """
@@ -24,9 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.linalg import cholesky
-from twin.identification.conformal import first_record
-from twin.identification.evidence import evidence_work
-from twin.identification.experts import Experts
+from twin.identification.data_weight import TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability
 from twin.identification.joint_ukf import JointUKF, coarse_plan
@@ -50,8 +54,14 @@ from twin.predictors.plus_forecast import (
     plus_draws,
     plus_mean,
 )
-from twin.predictors.plus_memory import WINDOW, PlusConfig, PlusMemory, PlusWork
-from twin.predictors.plus_update import WAVE_WORK, check_work, update_plus
+from twin.predictors.plus_update import (
+    WAVE_WORK,
+    WINDOW,
+    PlusConfig,
+    PlusMemory,
+    PlusWork,
+    update_plus,
+)
 from twin.predictors.ukf import RolloutInputs, UKFPredictor, plain
 from usv_kernel.arrays import flat_size, python_views
 from usv_kernel.errors import UsvTwinError
@@ -135,6 +145,7 @@ class PlusPredictor(UKFPredictor):
     """
 
     tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
+    knee = 2.5**2  # of normal errors 1 % lie beyond it
 
     def __init__(
         self,
@@ -179,7 +190,7 @@ class PlusPredictor(UKFPredictor):
         self.rows = np.zeros((span + steps + 2 * self.spacing, COLUMNS))
         schedule = period, relinearised, self.spacing, span, float(joint_candidate(particulars))
         self.segments = Segments(structure.terms, mean, cov, self.refit, capacity, schedule)
-        self.experts = Experts(mean, cov, joint_candidate(particulars))
+        self.selector = TrustSelector(self.segments)
         self._window = np.zeros(WINDOW.itemsize // 8)
         rng = np.random.default_rng(seed)
         # of parameters, starts and waves; the first path of the waves is the mean
@@ -197,7 +208,7 @@ class PlusPredictor(UKFPredictor):
             filter=ukf_memory.filter,
             rows=self.rows,
             window=self._window,
-            experts=self.experts.memory,
+            selector=self.selector.memory,
             segments=segments.memory,
             joint=self.joint.memory,
         )
@@ -207,18 +218,15 @@ class PlusPredictor(UKFPredictor):
             model=ukf_config.model,
             refit=segments.values,
             joint=self.joint.constants,
-            by_params=self.normal[0],
-            by_start=self.normal[1],
-            by_waves=self.normal[2],
         )
         self.work = PlusWork(
             nav=ukf_work.nav,
             filter=ukf_work.filter,
             line=segments.line,
             solve=segments.scratch,
-            evidence=np.zeros(flat_size(evidence_work, p, capacity)),
+            change=segments.changes,
             waves=np.zeros(WAVE_WORK),
-            check=np.zeros(flat_size(check_work, p)),
+            spread=segments.spread,
         )
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
         self._latest: Any = None
@@ -230,11 +238,9 @@ class PlusPredictor(UKFPredictor):
         self._window[:] = 0.0
         window = self.window
         self.segments.reset()
-        self.experts.reset()
+        self.selector.reset()
         self.joint.reset()
         window["refit_at"] = -math.inf
-        for name, value in first_record().items():
-            window[name][:] = value
         # until waves have been measured: as high as the refit assumes, and white
         window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
 
@@ -244,7 +250,7 @@ class PlusPredictor(UKFPredictor):
         return {
             **super().dtypes,
             "window": WINDOW,
-            "experts": self.experts.dtype,
+            "selector": self.selector.dtype,
             "segments": self.segments.dtype,
             "joint": self.joint.dtype,
         }
@@ -273,13 +279,13 @@ class PlusPredictor(UKFPredictor):
 
     def parameters_in_use(self) -> ParametersInUse:
         """See :meth:`twin.predictors.base.Predictor.parameters_in_use`."""
-        own = self.experts
+        own = self.selector
         return ParametersInUse(own.name, own.uses_prior, own.best_refit())
 
     def identifiability(self) -> Identifiability:
         """Return what the data so far say of the parameters: nothing while the prior is in use."""
         seen = super().identifiability()
-        if not self.experts.uses_prior:
+        if not self.selector.uses_prior:
             return seen
         parts = (
             tuple(dataclasses.replace(item, informed=False) for item in items)
@@ -318,7 +324,7 @@ class PlusPredictor(UKFPredictor):
             own = python_views(mean_forecast_of)(np.empty(_mean_size(p, K, N)), p, K, N)
             plan_draws(coarse, h, self.memory, self.config, own)
         out: Draws = python_views(draws_of)(np.empty(_draws_size(p, K, N, D)), p, K, N, D)
-        plus_draws((central, own), dt, True, self.memory, self.config, self.normal, out)
+        plus_draws((central, own), dt, self.memory, self.config, self.normal, out)
         return out, every
 
     def predict(self, plan: Array, dt: float) -> Prediction:

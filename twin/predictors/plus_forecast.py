@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twin.channels import PSI
 from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.conformal import factor_ahead
+from twin.identification.interval_scale import factor_ahead
 from twin.identification.joint_ukf import (
     PRIOR_SHRINKAGE,
     drive_share,
@@ -24,12 +24,12 @@ from twin.identification.joint_ukf import (
     scale_plan,
     shrink_to_prior,
 )
-from twin.identification.prediction_error import LOW
+from twin.identification.prediction_error import LOW, refit_config
 from twin.identification.wave_residual import ORDER, between, forecast_waves, simulate_waves
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
 from twin.model.structure import N_STATES
-from twin.predictors.plus_memory import WINDOW, all_good, last_row, observer_gain
+from twin.predictors.plus_update import WINDOW, all_good, last_row, observer_gain
 from twin.predictors.ukf import DOUBTED
 from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
@@ -215,14 +215,13 @@ def _headings_ahead(psi, states, dt, heading):
 
 
 @kernel
-def plus_draws(mean, mean_dt, calibrated, memory, config, normal, out):
+def plus_draws(mean, mean_dt, memory, config, normal, out):
     """Write how draws of parameters, start and waves deviate from the mean forecast.
 
     ``mean`` is the mean forecast with rows ``mean_dt`` (s) apart, and the plan of the draws with
-    its predicted waves. It is the same twice where both are at the same rows. Where they are not
-    ``calibrated``, deviations are as drawn, see :mod:`twin.identification.conformal`. ``normal``
-    has standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used
-    again where they do not reach. The first of the waves are zeros.
+    its predicted waves. It is the same twice where both are at the same rows. ``normal`` has
+    standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again
+    where they do not reach. The first of the waves are zeros.
     """
     central, own = mean
     by_params, by_start, by_waves = normal
@@ -279,17 +278,18 @@ def plus_draws(mean, mean_dt, calibrated, memory, config, normal, out):
     for d in range(D):
         for k in range(N_STATES):
             out.deviations[d, 0, k] = out.shocks[d, k] if k >= 2 else 0.0
+    refit = refit_config(config.refit, p)
     for row in range(own.plan.shape[0]):
         for k in range(N_STATES):
-            factor = factor_ahead(own.after[row], max(k - 1, 0), window) if calibrated else 1.0
+            factor = factor_ahead(own.after[row], max(k - 1, 0), window, refit)
             for d in range(D):
                 value = out.states[d + 1, row, k]
                 if k >= 3:
                     value += out.ends[d + 1, row, k - 3]
                 # the error of the heading now stays
                 still = out.shocks[d, PSI] if k == PSI else 0.0
-                change = factor * (value - out.states[0, row, k] - still)
-                out.deviations[d, row + 1, k] = change + (still if calibrated else 0.0)
+                change = value - out.states[0, row, k] - still
+                out.deviations[d, row + 1, k] = still + factor * change
 
 
 @kernel

@@ -8,30 +8,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import PSI, R, U, V
+from twin.filters.linalg import invert
 from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.conformal import (
-    HORIZONS,
-    REGION,
-    SCORES,
-    Z90,
-    take_score,
-)
-from twin.identification.evidence import REFITS, evidence_work, find_change, refit
-from twin.identification.experts import (
-    BEST,
-    CHANGED,
+from twin.identification.change import change_work
+from twin.identification.data_weight import (
+    BLEND,
     CHOSEN,
     JOINT,
     NOTED,
-    PAST,
     SCORED,
-    choose,
-    expert_state,
+    linearised_at,
     note,
+    proved,
     score,
-    slot_of,
+    select_trust,
+    selector_state,
 )
+from twin.identification.interval_scale import RECORD, compare_segment, record_work
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -40,7 +34,6 @@ from twin.identification.joint_ukf import (
 )
 from twin.identification.prediction_error import (
     ACT,
-    COMMAND,
     GOOD,
     LOW,
     MIDDLE,
@@ -60,6 +53,8 @@ from twin.identification.segments import (
 )
 from twin.identification.wave_residual import (
     ORDER,
+    SECTOR_SIZE,
+    SECTORS,
     fit_sector_ar,
     fit_waves,
     heading_kernel,
@@ -67,24 +62,8 @@ from twin.identification.wave_residual import (
 )
 from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
-from twin.model.structure import N_STATES, current_of
+from twin.model.structure import N_STATES, ModelTerms, current_of
 from twin.predictors.baselines import GAP_MAX
-from twin.predictors.plus_forecast import (
-    draws_of,
-    mean_forecast_of,
-    mean_products,
-    plus_draws,
-    plus_mean,
-)
-from twin.predictors.plus_memory import (
-    WINDOW,
-    PlusMemory,
-    all_good,
-    last_row,
-    observer_gain,
-    plus_config_of,
-    plus_work_of,
-)
 from twin.predictors.ukf import (
     UKFConfig,
     UKFMemory,
@@ -96,38 +75,94 @@ from twin.predictors.ukf import (
     start_filter,
     tight_step,
 )
-from usv_kernel.arrays import flat_size, take
+from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
 __all__ = [
+    "OBSERVER_GAIN",
     "WAVE_WORK",
-    "check_work",
+    "WINDOW",
+    "PlusConfig",
+    "PlusMemory",
+    "PlusWork",
+    "observer_gain",
+    "plus_config_of",
     "plus_step",
+    "plus_work_of",
+    "refit_work",
     "update_plus",
 ]
+
+OBSERVER_GAIN = 0.5
+"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
+too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
+
+GAIN_OF_SHIP = 2.0
+"""The same in nominal speeds over length. An observer much faster than its ship follows what the
+model leaves out, and its residual says no more of it."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
 greatest age (s) of the row before it."""
 
-CHECK_ROWS, CHECK_DRAWS = round(HORIZONS[-1] / GRID), 20
-"""Grid steps of a forecast that is compared with what came, and its draws."""
-
-_CHECKED = np.array([round(h / GRID) for h in HORIZONS])
-
-TINY = 1e-300
-"""Least of a variance, so that an error over it is a number."""
-
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
 valid ones. Earlier residuals also hold what was not yet learned."""
 
-LEARNT = 16
-"""Segments compared before forecasts are: until then, the spread of now is not that of then."""
-
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
+
+WINDOW = np.dtype(
+    [
+        ("origin", "f8"),  # time of the grid's origin, s
+        ("halves", "f8"),  # half grid steps since then
+        ("last", "f8", N_STATES),  # navigation state of the row before
+        ("last_act", "f8", N_ACT),  # actuators of the row before
+        ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
+        ("next_start", "f8"),  # first row of the next segment
+        ("refit_at", "f8"),  # time of the next refit, s
+        ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
+        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
+        ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
+        *RECORD,
+    ]
+)
+"""What a predictor remembers of its observer, window and waves, besides the rows."""
+
+
+class PlusMemory(NamedTuple):
+    """What a predictor remembers, flat; in a batch each row is a boat's."""
+
+    nav: Any  # see NAVIGATION
+    filter: Any  # see FilterState
+    rows: Any  # (M, 20) rows of the window; see prediction_error.COLUMNS
+    window: Any  # see WINDOW
+    selector: Any  # see SelectorState
+    segments: Any  # see SegmentState
+    joint: Any  # see FilterState; of the joint filter, which identifies only
+
+
+class PlusConfig(NamedTuple):
+    """What a predictor is given of its boat."""
+
+    nav: Any  # see NAVIGATION_SETTINGS
+    filter: Any  # see FilterConfig
+    model: Any  # ModelTerms
+    refit: Any  # see RefitConfig
+    joint: Any  # see FilterConfig; of the joint filter
+
+
+class PlusWork(NamedTuple):
+    """Scratch, which predictors of like boats can share."""
+
+    nav: Any  # see NAVIGATION_WORK
+    filter: Any  # see FilterWorkspace
+    line: Any  # see LineariseWork
+    solve: Any  # see SegmentWork
+    change: Any  # see ChangeWork
+    waves: Any  # of _fit_waves
+    spread: Any  # see RecordWork
 
 
 @inlined
@@ -136,8 +171,15 @@ def refit_work(work, p, capacity):
     return RefitWork(
         linearise_work(work.line, p),
         segment_work(work.solve, p, capacity),
-        evidence_work(work.evidence, p, capacity),
+        change_work(work.change, p, capacity),
+        record_work(work.spread, p),
     )
+
+
+@inlined
+def observer_gain(config):
+    """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
+    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
 
 
 @inlined
@@ -163,7 +205,7 @@ def _slow_step(dt, nav, window, state, config, terms):
 
 
 @inlined
-def _record(t, dt, good, cmd, nav, window, state, rows):
+def _record(t, dt, good, nav, window, state, rows):
     """Write the window's rows up to time t, interpolated on its grid."""
     n, act, last, last_act = nav.n, state.act, window.last, window.last_act
     if dt > GAP_MAX:
@@ -186,8 +228,6 @@ def _record(t, dt, good, cmd, nav, window, state, rows):
                 row[LOW + k] = window.slow[k]
             for k in range(2):
                 row[WIND + k] = state.wind[k]
-            for k in range(N_ACT):
-                row[COMMAND + k] = cmd[k]
             row[GOOD] = good
         window.halves += 1.0
     for k in range(N_STATES):
@@ -196,19 +236,36 @@ def _record(t, dt, good, cmd, nav, window, state, rows):
         last_act[k] = act[k]
 
 
+@inlined
+def last_row(window):
+    """Return the number of the newest complete row of the window; -1 if there is none."""
+    return int(window.halves) // 2 - 1
+
+
 @kernel
-def _take_segments(rows, window, experts, segments, config, model, work):
+def all_good(first, last, rows):
+    """Return whether the rows from first to last, the last included, may be fitted."""
+    good = True
+    for k in range(first, last + 1):
+        good = good and rows[k % rows.shape[0], GOOD] > 0.0
+    return good
+
+
+@kernel
+def _take_segments(rows, window, selector, segments, nav, config, model, work):
     """Take the segments that are over into the window; return how many starts were tried."""
     newest, tried = last_row(window), 0
     # older rows have been overwritten, nearly all of them after a long gap
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):
-            add(
-                start, rows, experts.params[int(experts.count[BEST])], segments, config, model, work
-            )
-            if start <= experts.count[NOTED]:  # else it began and ended between two refits
-                score(start, rows, experts, config, model, work.line)
+            at = selector.params[linearised_at(selector)]
+            add(start, rows, at, segments, config, model, work)
+            if start <= selector.count[NOTED]:  # else it began and ended between two refits
+                score(start, rows, selector, config, model, work)
+                slot = start // config.spacing % selector.past.shape[0]
+                xi, covs = selector.past[slot, int(selector.count[CHOSEN])], (segments.cov, nav.P)
+                compare_segment(start, rows, xi, covs, window, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
@@ -235,10 +292,6 @@ def _waves_work(work, N):
     good, at = take(work, at, (N,))
     return WavesWork(w, psi, good, work[at:])
 
-
-_MEAN_SIZE = flat_size(mean_forecast_of, 0, CHECK_ROWS, CHECK_ROWS)
-
-_DRAWS_SIZE = flat_size(draws_of, 0, CHECK_ROWS, CHECK_ROWS, CHECK_DRAWS)
 
 WAVE_WORK = 5 * _WAVE_ROWS + sector_work_size(_WAVE_ROWS)
 """Length of the scratch of the waves."""
@@ -290,175 +343,62 @@ def _give_covariance(cov, P):
             P[N_STATES + i, N_STATES + k] = cov[i, k]
 
 
-class CheckWork(NamedTuple):
-    """Scratch of :func:`_check_forecast`."""
-
-    plan: Any  # (40, 4) commands as they were
-    kept: Any  # (15 + p,) what is put back
-    covs: Any  # (4, 6, 6) claimed covariances at the horizons
-    ordered: Any  # (scores,)
-    mean: Any  # see MeanForecast
-    draws: Any  # see Draws
-
-
-@inlined
-def check_work(work, p):
-    """Open the scratch of a comparison."""
-    plan, at = take(work, 0, (CHECK_ROWS, N_ACT))
-    kept, at = take(work, at, (2 * N_STATES + N_ACT + p,))
-    covs, at = take(work, at, (len(HORIZONS), N_STATES, N_STATES))
-    ordered, at = take(work, at, (SCORES,))
-    mean, at = take(work, at, (_MEAN_SIZE + p,))
-    draws, at = take(work, at, (_DRAWS_SIZE + (CHECK_DRAWS + 1 + p + 1) * p,))
-    return CheckWork(plan, kept, covs, ordered, mean, draws)
-
-
-@inlined
-def _swap(kept, at, values, other):
-    """Keep values, and write others in their place; return the place after those kept."""
-    for k in range(other.shape[0]):
-        kept[at + k], values[k] = values[k], other[k]
-    return at + other.shape[0]
-
-
-@inlined
-def _put_back(kept, at, values, count):
-    """Write values that were kept; return the place after them."""
-    for k in range(count):
-        values[k] = kept[at + k]
-    return at + count
-
-
-@kernel
-def _forecast_from(first, memory, config, scratch):
-    """Write the forecast from a row on under the commands as they were, and its covariances.
-
-    The parameters are those that the expert in use had then. Covariance, waves to come and shape of
-    the waves are those of now.
-    """
-    model, rows, p = config.model, memory.rows, config.model.which.shape[1]
-    nav, window = as_record(memory.nav, NAVIGATION), as_record(memory.window, WINDOW)
-    state, experts = filter_state(memory.filter, model), expert_state(memory.experts, p)
-    spacing = refit_config(config.refit, p).spacing
-    size = rows.shape[0]
-    start, halves = rows[first % size], window.halves
-    for k in range(CHECK_ROWS):
-        for i in range(N_ACT):
-            scratch.plan[k, i] = rows[(first + k + 1) % size, COMMAND + i]
-    kept, params = scratch.kept, state.x[N_STATES:]
-    then = experts.past[slot_of(first, spacing), int(experts.count[CHOSEN])]
-    # the clock is put back to the row ...
-    at = _swap(kept, 0, nav.n, start[STATE:LOW])
-    at = _swap(kept, at, window.slow, start[LOW:WIND])
-    at = _swap(kept, at, state.wind, start[WIND:GOOD])
-    at = _swap(kept, at, state.act, start[ACT:MIDDLE])
-    _swap(kept, at, params, then)
-    window.halves = 2.0 * (first + 1)
-    mean = mean_forecast_of(scratch.mean, p, CHECK_ROWS, CHECK_ROWS)
-    draws = draws_of(scratch.draws, p, CHECK_ROWS, CHECK_ROWS, CHECK_DRAWS)
-    plus_mean(scratch.plan, GRID, memory, config, mean)
-    # other draws each time, so that their chance averages out
-    some = int(window.compared) % (config.by_params.shape[0] // CHECK_DRAWS) * CHECK_DRAWS
-    normal = (
-        config.by_params[some : some + CHECK_DRAWS],
-        config.by_start[some : some + CHECK_DRAWS],
-        config.by_waves[some : some + CHECK_DRAWS + 1],
-    )
-    plus_draws((mean, mean), GRID, False, memory, config, normal, draws)
-    mean_products(draws.deviations, _CHECKED, scratch.covs)
-    # ... and forward again
-    window.halves = halves
-    at = _put_back(kept, 0, nav.n, N_STATES)
-    at = _put_back(kept, at, window.slow, 3)
-    at = _put_back(kept, at, state.wind, 2)
-    at = _put_back(kept, at, state.act, N_ACT)
-    _put_back(kept, at, params, p)
-
-
-@kernel
-def _check_forecast(first, memory, config, scratch):
-    """Compare the forecast from a row on with what came; see ``twin.identification.conformal``."""
-    rows, window = memory.rows, as_record(memory.window, WINDOW)
-    _forecast_from(first, memory, config, scratch)
-    mean = mean_forecast_of(scratch.mean, config.model.which.shape[1], CHECK_ROWS, CHECK_ROWS)
-    for h in range(_CHECKED.shape[0]):
-        state, P = mean.states[0, _CHECKED[h] - 1], scratch.covs[h]
-        came = rows[(first + _CHECKED[h]) % rows.shape[0]]
-        x, y = came[STATE] - state[0], came[STATE + 1] - state[1]
-        area = max(P[0, 0] * P[1, 1] - P[0, 1] * P[0, 1], TINY)
-        square = (P[1, 1] * x * x - 2.0 * P[0, 1] * x * y + P[0, 0] * y * y) / area
-        take_score(h, 0, math.sqrt(square / REGION), window, scratch.ordered)
-        for k in range(2, N_STATES):
-            score_ = abs(came[STATE + k] - state[k]) / (Z90 * math.sqrt(max(P[k, k], TINY)))
-            take_score(h, k - 1, score_, window, scratch.ordered)
-    window.compared += 1.0
-
-
-@kernel
-def _check_forecasts(memory, config, work):
-    """Compare the forecasts that are over with what came, one of each start of a segment."""
-    window, p = as_record(memory.window, WINDOW), config.model.which.shape[1]
-    spacing, experts = refit_config(config.refit, p).spacing, expert_state(memory.experts, p)
-    newest, noted, scratch = last_row(window), experts.count[NOTED], check_work(work.check, p)
-    start = max(int(window.next_check), newest - memory.rows.shape[0] + 1)
-    while start + CHECK_ROWS <= newest:
-        known = noted - PAST * spacing < start <= noted and experts.count[SCORED] >= LEARNT
-        if known and all_good(start - ORDER, start + CHECK_ROWS, memory.rows):
-            _check_forecast(start, memory, config, scratch)
-        start += spacing
-    window.next_check = start
-
-
 @kernel
 def _refit(memory, config, work):
     """Bring segments, waves and refits up to date, and write the best parameters to the filter."""
     model, rows, window = config.model, memory.rows, as_record(memory.window, WINDOW)
     p = model.which.shape[1]
     given = refit_config(config.refit, p)
-    experts = expert_state(memory.experts, p)
+    selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
     scratch = refit_work(work, p, given.capacity)
-    _take_segments(rows, window, experts, segments, given, model, scratch)
+    nav = as_record(memory.nav, NAVIGATION)
+    _take_segments(rows, window, selector, segments, nav, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
     joint = filter_state(memory.joint, model)
     for k in range(p):
-        experts.params[JOINT, k] = joint.x[N_STATES + k]
+        selector.params[JOINT, k] = joint.x[N_STATES + k]
     for start in range(int(window.next_start), newest + 1, given.spacing):
-        note(start, given.spacing, experts)
+        note(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
         return
-    own = experts.params[int(experts.count[BEST])]
-    relinearise(given.relinearised, rows, own, segments, given, model, scratch)
-    changed = find_change(
-        newest, experts.count[CHANGED], own, segments, given, model, scratch.evidence
-    )
-    experts.count[CHANGED] = changed
-    for r in range(REFITS):
-        params, cov = experts.params[r], experts.cov[r]
-        refit(r, changed, params, cov, segments, given, model, scratch.evidence)
+    at = selector.params[linearised_at(selector)]
+    relinearise(given.relinearised, rows, at, segments, given, model, scratch)
     row = rows[newest % rows.shape[0]]
     bounds, tight = work.waves[:3], filter_state(memory.filter, model)
     nominal = filter_config(config.filter, model).nominal
     for i in range(3):
         bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
-    if not choose(row, bounds, experts, model, scratch.line):
-        return
-    chosen = int(experts.count[CHOSEN])
+    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
+    if int(selector.count[CHOSEN]) in (JOINT, BLEND):
+        for i in range(p):
+            for k in range(p):
+                segments.cov[i, k] = joint.P[N_STATES + i, N_STATES + k]
     for i in range(p):
-        tight.x[N_STATES + i] = experts.params[chosen, i]
-    if chosen == JOINT:
-        _give_covariance(joint.P[N_STATES:, N_STATES:], tight.P)
-    else:
-        _give_covariance(experts.cov[chosen if chosen < REFITS else 0], tight.P)
+        tight.x[N_STATES + i] = segments.params[i]
+    _give_covariance(segments.cov, tight.P)
+
+
+@inlined
+def plus_config_of(config):
+    """Return a configuration by name from a plain tuple."""
+    which, limits, hull = config[2]
+    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3], config[4])
+
+
+@inlined
+def plus_work_of(work):
+    """Return a workspace by name from a plain tuple."""
+    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5], work[6])
 
 
 @kernel
 def update_plus(t, dt, z, cmd, memory, config, work):
     """Do :func:`plus_step` with plain tuples, which numba takes from Python much faster."""
-    nav, tight, rows, window, experts, segments, joint = memory
-    own = PlusMemory(nav, tight, rows, window, experts, segments, joint)
+    nav, tight, rows, window, selector, segments, joint = memory
+    own = PlusMemory(nav, tight, rows, window, selector, segments, joint)
     plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
 
 
@@ -478,7 +418,7 @@ def _identify(outage, dt, cmd, nav, wind, memory, config, scratch):
 
 
 @inlined
-def _take_mean(state, experts, memory, model):
+def _take_mean(state, selector, memory, model):
     """Go on with the mean of the joint filter's parameters and those of the first refit.
 
     Without GPS the errors of a boat that no population describes add up, and those of the two
@@ -487,8 +427,24 @@ def _take_mean(state, experts, memory, model):
     p = model.which.shape[1]
     joint = filter_state(memory.joint, model)
     for i in range(p):
-        state.x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + experts.params[0, i])
+        state.x[N_STATES + i] = 0.5 * (joint.x[N_STATES + i] + selector.params[0, i])
     _give_covariance(joint.P[N_STATES:, N_STATES:], state.P)
+
+
+@kernel
+def _take_proved(state, selector, memory, model, refit, work):
+    """Go on with parameters that have proved good, at the beginning of a loss of GPS."""
+    p = model.which.shape[1]
+    best = proved(last_row(as_record(memory.window, WINDOW)), selector)
+    if best == int(selector.count[CHOSEN]) or not selector.factors[best, 0, 0] > 0.0:
+        return
+    segments = segment_state(memory.segments, p, refit.capacity)
+    solve = refit_work(work, p, refit.capacity).solve
+    invert(selector.factors[best], segments.cov, solve.inverse)
+    selector.count[CHOSEN] = best
+    for i in range(p):
+        state.x[N_STATES + i] = segments.params[i] = selector.params[best, i]
+    _give_covariance(segments.cov, state.P)
 
 
 @kernel
@@ -512,7 +468,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         return
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     P = nav.P
-    given_refit = refit_config(config.refit, model.which.shape[1])
+    refit = refit_config(config.refit, model.which.shape[1])
     if not begun:
         start_filter(cmd, nav, filter_state(memory.joint, model), given)
         window.origin, window.halves = t, 0.0
@@ -524,20 +480,22 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             window.last_act[k] = state.act[k]
     else:
         scratch = filter_workspace(work.filter, model.which.shape[1])
-        if given_refit.joint != NONE:
+        if refit.joint != NONE:
             _identify(outage, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD and given.rest_push < 1.0:
-        experts = expert_state(memory.experts, model.which.shape[1])
-        if experts.count[SCORED] >= SEGMENTS_MIN and int(experts.count[CHOSEN]) == JOINT:
-            _take_mean(state, experts, memory, model)
+    if nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD:
+        selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
+        if selector.count[SCORED] >= SEGMENTS_MIN:
+            if refit.joint == NONE:
+                _take_proved(state, selector, memory, model, refit, work)
+            elif given.rest_push < 1.0 and int(selector.count[CHOSEN]) == JOINT:
+                _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and not is_learning_suspended(nav)
     good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
-    _record(t, dt, good, cmd, nav, window, state, memory.rows)
+    _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
-        _check_forecasts(memory, config, work)
-        window.refit_at = t + given_refit.period - 1e-9
+        window.refit_at = t + refit.period - 1e-9
         _refit(memory, config, work)

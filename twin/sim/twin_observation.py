@@ -44,8 +44,7 @@ from twin.predictors.plus_forecast import (
     plus_draws,
     plus_mean,
 )
-from twin.predictors.plus_memory import PlusMemory, plus_config_of, plus_work_of
-from twin.predictors.plus_update import plus_step
+from twin.predictors.plus_update import PlusMemory, plus_config_of, plus_step, plus_work_of
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from twin.sim.forecast_scores import (
     Buffers,
@@ -537,8 +536,8 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
     rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
     boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
-    nav, tight, kept, window, experts, segments, joint = memories
-    memories = PlusMemory(nav, tight, kept, window, experts, segments, joint)
+    nav, tight, kept, window, selector, segments, joint = memories
+    memories = PlusMemory(nav, tight, kept, window, selector, segments, joint)
     config, work = plus_config_of(config), plus_work_of(work)
     forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
     settings, model = as_record(boats.settings, SETTINGS), config.model
@@ -555,7 +554,7 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         note = as_record(boats.notes[i], NOTE)
         memory = PlusMemory(
             memories.nav[i], memories.filter[i], memories.rows[i], memories.window[i],
-            memories.experts[i], memories.segments[i], memories.joint[i],
+            memories.selector[i], memories.segments[i], memories.joint[i],
         )  # fmt: skip
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
@@ -576,7 +575,7 @@ def observe_plus(boats, memories, config, work, forecast, obs):
                     note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
             if note.last >= note.covs_due:
                 note.covs_due = note.last + settings.period - 1e-9
-                plus_draws((mean, mean), LONG_STEP, True, memory, config, forecast.normal, draws)
+                plus_draws((mean, mean), LONG_STEP, memory, config, forecast.normal, draws)
                 covs = note.covs[:]
                 mean_products(draws.deviations, _DRAWN_ROWS, covs)
                 for h in range(HORIZON_ROWS.shape[0]):

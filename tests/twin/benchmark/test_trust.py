@@ -23,7 +23,7 @@ from twin.benchmark.trust import (
     sensor_answer,
     speed_ratio,
 )
-from twin.identification.experts import CHOSEN, PRIOR
+from twin.identification.data_weight import CHOSEN, PRIOR
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.motion.tilt_meter import TiltScore
 from twin.predictors.base import ParametersInUse
@@ -66,7 +66,7 @@ def ran(boat: Particulars, log: Log) -> TrustMeter:
     meter = TrustMeter(twin, log)
     twin.run(log, meter)
     assert isinstance(twin.predictor, PlusPredictor)
-    twin.predictor.experts.state.count[CHOSEN] = PRIOR
+    twin.predictor.selector.state.count[CHOSEN] = PRIOR
     return meter
 
 

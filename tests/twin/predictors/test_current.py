@@ -7,7 +7,7 @@ import pytest
 
 from twin import Twin
 from twin.channels import MEASUREMENTS
-from twin.identification.experts import CHANGED, SCORED, is_stable
+from twin.identification.data_weight import CHANGED, is_stable
 from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
@@ -60,10 +60,10 @@ def test_rough_models_are_refused_or_bounded(log, seed):
     twin = Twin(boat, "dsw-ukf-plus")
     twin.run(log.slice(0.0, 30.0))
     predictor, rng = twin.predictor, np.random.default_rng(seed)
-    own, experts = predictor.segments, predictor.experts
+    own = predictor.selector.segments
     sd = np.sqrt(np.diag(own.prior_cov))
     wild = own.prior + 10.0 ** rng.uniform(0.0, 2.0) * sd * rng.standard_normal(len(sd))
-    experts.state.params[:] = predictor.ukf.x[6:] = wild
+    predictor.selector.params[:] = predictor.ukf.x[6:] = wild
     bounds = np.maximum(1.5 * predictor.ukf.fastest, predictor.ukf.nominal)
     for t, z, cmd in log.slice(30.05, 45.0):
         twin.step(t, z, cmd)
@@ -72,9 +72,9 @@ def test_rough_models_are_refused_or_bounded(log, seed):
     ahead = twin.predict("hold").mean[:, 3:]
     assert np.isfinite(ahead).all()
     assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
-    chosen = experts.state.params[experts.chosen]
+    chosen = predictor.selector.params[predictor.selector.chosen]
     row = predictor.rows[predictor.last_row % len(predictor.rows)]
-    if experts.state.count[SCORED] >= 8 and not (chosen == wild).all():
+    if predictor.selector.scored >= 8 and not (chosen == wild).all():
         assert is_stable(row, chosen, bounds, own.model, own.work.line)
 
 
@@ -139,10 +139,10 @@ def test_boat_that_has_changed_is_predicted_soon():
     log = sail(prepare(simulation, "turn", 130.0, 1), set_in)
     twin = Twin(particulars_of(boat), "dsw-ukf-plus")
     twin.run(log.slice(0.0, 80.0))
-    assert twin.predictor.experts.state.count[CHANGED] < 0.0
+    assert twin.predictor.selector.state.count[CHANGED] < 0.0
     twin.run(log.slice(80.05, 120.0))
     # the rows of the window are a quarter of a second apart
-    assert twin.predictor.experts.state.count[CHANGED] * GRID > 80.0
+    assert twin.predictor.selector.state.count[CHANGED] * GRID > 80.0
     assert abs(current_of(twin)[0][1] - 1.0) < 0.4
 
 

@@ -29,8 +29,14 @@ from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_forecast import past_waves
-from twin.predictors.plus_memory import OBSERVER_GAIN, WINDOW, PlusMemory
-from twin.predictors.plus_update import GAP_GOOD, _slow_step, plus_step
+from twin.predictors.plus_update import (
+    GAP_GOOD,
+    OBSERVER_GAIN,
+    WINDOW,
+    PlusMemory,
+    _slow_step,
+    plus_step,
+)
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_kernel.jit import kernel
@@ -77,8 +83,7 @@ def check(predictor: PlusPredictor, plan: np.ndarray = PLAN) -> None:
         # a clock that counts from 1970 has steps of 2e-7 s
         np.testing.assert_allclose(found.t - found.t0, dt * np.arange(1, len(rows) + 1), atol=1e-6)
     assert np.isfinite(predictor.ukf.x).all() and np.isfinite(predictor.ukf.P).all()
-    assert np.isfinite(predictor.experts.state.cov).all()
-    assert np.isfinite(predictor.window["factor"]).all()
+    assert np.isfinite(predictor.segments.cov).all()
 
 
 def memory(predictor: PlusPredictor) -> dict[str, object]:
@@ -87,7 +92,9 @@ def memory(predictor: PlusPredictor) -> dict[str, object]:
     used, kept = segments.first >= 0, segments.state._asdict()
     # segments that are gone leave their numbers
     parts["segments"] = [kept[name][used] for name in ("first", "packed", "b", "c", "at")]
-    return copy.deepcopy({**parts, "t": predictor.t})
+    return copy.deepcopy(
+        {**parts, "t": predictor.t, "params": segments.params, "cov": segments.cov}
+    )
 
 
 def slow(predictor: PlusPredictor) -> np.ndarray:
@@ -477,7 +484,7 @@ def test_without_gps_the_mean_of_joint_filter_and_refit_goes_on() -> None:
         if structured(predictor.memory.nav[None], NAVIGATION)["gps_age"][0] > GAP_GOOD:
             break
         before = predictor.ukf.xi.copy()
-    mean = 0.5 * (predictor.joint.xi + predictor.experts.state.params[0])
+    mean = 0.5 * (predictor.joint.xi + predictor.selector.params[0])
     np.testing.assert_array_equal(predictor.ukf.xi, mean)
     assert np.abs(mean - before).max() > 1e-3
     twin.step(t + 0.1, blind, cmd)  # and goes on from there

@@ -1,0 +1,531 @@
+"""How far to trust the data against the prior: several refits, compared by their forecasts.
+
+A boat in waves that are high for it, of which the prior says little, must rely on its data. One
+that has only been turning must not. No setting suits both, so several refits run side by side over
+the same segments, each with another ``trust``. The one in use is the one with the best forecasts.
+Every forecast is one of a segment that had not been seen. It has the parameters of each refit at
+the segment's start, the low-frequency velocities there, and the actuators as they were.
+
+Place and heading are compared: they add velocities up, and the waves cancel.
+
+Source: docs/explanation/twin.md, The refit; prequential validation, Dawid 1984.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.filters.linalg import packed_size
+from twin.identification.change import (
+    change_evidence,
+    known_before,
+    quadratics_by_changes,
+    widen_known,
+)
+from twin.identification.prediction_error import (
+    ACT,
+    FIRST,
+    GOOD,
+    LOW,
+    MIDDLE,
+    WIND,
+    drive,
+    rk4_step,
+)
+from twin.identification.segments import (
+    ITERATIONS,
+    Known,
+    Segments,
+    samples_of,
+    solve,
+    store_factor,
+    use,
+)
+from twin.model.rollout import GRID
+from usv_kernel.arrays import flat_size, named_dtype, python_views, take
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "SelectorState",
+    "TrustSelector",
+    "forecast_error",
+    "linearised_at",
+    "note",
+    "proved",
+    "score",
+    "select_trust",
+    "selector_state",
+]
+
+Array = NDArray[Any]
+
+TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
+"""How far the refits trust the data; the first is in use until another has proved better."""
+
+SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
+"""Over how many of the last seconds each refit looks, at most."""
+
+REFITS = len(TRUSTS)
+
+PRIOR, JOINT, BLEND = REFITS, REFITS + 1, REFITS + 2
+"""Candidates that are no refits: the prior's parameters, those of the joint filter, and the mean of
+joint filter and refits, weighted by their records. Without a joint filter there is but the first.
+"""
+
+CANDIDATES = REFITS + 3
+
+_TRUSTS = np.array(TRUSTS)
+COUNT_MAX = 2.0**52
+"""Whole numbers up to it are exact in a double."""
+
+_SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
+
+STABLE_FOR = 20.0
+"""A refit is of use if it stays within bounds under held commands for so long, s."""
+
+ENOUGH, MEMORIES = 8, (10, 60)
+"""Segments before anything is chosen, and over which errors are averaged: few, to follow a boat
+that has changed, and many, to see a small difference."""
+
+MARGINS = (0.4, 0.15)
+"""By how much the mean logarithm of another's squared errors must be lower, on average over the
+memories. The shorter the memory, the more of a difference is chance."""
+
+SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
+"""The first of the refits with a short span. After a change, they look back to it at most."""
+
+SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
+"""Evidence that the boat has changed is a cumulative sum (Page 1954) of what the logarithms of
+squared errors exceed their long mean by: each up to the first number, less the second. At the
+third the forecasts have become worse. A boat that sails as never before, as into its first
+zigzag, makes less."""
+
+EVIDENCE_ALARM, LAGS = 12.5, (2.0, 6.0, 14.0)
+"""Evidence above which a change of thrust or current has come, and over how many seconds before
+the last segment it is sought."""
+
+UNTRIED = "the prior, as there is too little usable data for a refit"
+"""What is in use before the first refit."""
+
+_NAMES = {
+    PRIOR: "the prior, as no refit forecasts better",
+    JOINT: "the joint filter",
+    BLEND: "the mean of joint filter and refits, weighted by their forecasts",
+}
+
+_LAGS = np.array([round(lag / GRID) for lag in LAGS])
+
+KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
+"""Segments that must have been compared, information that they must have on the thrust (see
+``change.known_before``), and seconds since the last alarm, before another."""
+
+HEAD_START, FOLLOWS = 1.1, 0.5
+"""Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
+trust leaves, from the trust before."""
+
+BLEND_BY = 3.0
+"""Logarithm of the weight that a lead of one margin gives in the blend."""
+
+TRUST_OF_JOINT = 10.0
+"""Trust in the data that goes with the parameters of the joint filter."""
+
+LEAST, MOST = 1e-9, 1e9
+"""Bounds of a squared error, so that its logarithm is a number."""
+
+
+class SelectorState(NamedTuple):
+    """What the choice of the trust remembers."""
+
+    count: Any  # (6,) see SCORED to ALARM
+    surprise: Any  # (1,) evidence that the boat has changed
+    errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
+    params: Any  # (c, p) parameters of each candidate
+    factors: Any  # (refits, p, p) Cholesky factors of the inverses of the refits' covariances
+    past: Any  # (slots, c, p) parameters when recent segments began
+    pull: Any  # (p,) what the short refits go on from after a change; see ``segments.Known``
+    information: Any  # (h,) 0 before the first change
+
+
+SCORED, CHOSEN, TURN, NOTED, CHANGED, ALARM = range(6)
+"""Segments compared, candidate in use, refit whose turn it is, last row that was noted, row at
+which the boat changed, and that at which it was found."""
+
+
+@inlined
+def selector_state(memory, p, steps, spacing):
+    """Open the memory of the choice between refits of p parameters."""
+    count, at = take(memory, 0, (6,))
+    surprise, at = take(memory, at, (1,))
+    errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
+    params, at = take(memory, at, (CANDIDATES, p))
+    factors, at = take(memory, at, (REFITS, p, p))
+    past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
+    pull, at = take(memory, at, (p,))
+    information, at = take(memory, at, (packed_size(p),))
+    return SelectorState(count, surprise, errors, params, factors, past, pull, information)
+
+
+@kernel
+def forecast_error(first, rows, xi, model, config, work):
+    """Return the error of a forecast from one row of a window in place and heading.
+
+    It is the mean over the samples of the squared weighted errors; infinite where the motion
+    leaves all bounds. Arguments: see :func:`twin.identification.prediction_error.linearise`.
+    """
+    size, s = rows.shape[0], work.s
+    start = rows[first % size]
+    wind = start[WIND:GOOD]
+    for i in range(3):
+        s[i], s[3 + i] = start[i], start[LOW + i]
+    drive(start[ACT:MIDDLE], work.terms[3])
+    total, count = 0.0, 0
+    for step in range(config.steps):
+        row, after = rows[(first + step) % size], rows[(first + step + 1) % size]
+        if not rk4_step(row, after, wind, xi, model, work, False):
+            return math.inf
+        if (step + 1) % config.every == 0:
+            count += 1
+            x, y = after[0] - s[0], after[1] - s[1]
+            place = config.weights[0] * (x * x + y * y)
+            total += place + config.weights[2] * (after[2] - s[2]) ** 2
+    return total / count
+
+
+@kernel
+def note(start, spacing, state):
+    """Keep the parameters of all refits for the segment that begins at a row."""
+    if start <= state.count[NOTED]:
+        return
+    now = state.past[start // spacing % state.past.shape[0]]
+    for r in range(now.shape[0]):
+        for k in range(now.shape[1]):
+            now[r, k] = state.params[r, k]
+    state.count[NOTED] = start
+
+
+@inlined
+def _lead(r, errors):
+    """Return by how many margins the record of a candidate is better than the first one's."""
+    lead = 0.0
+    for m in range(len(MEMORIES)):
+        lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
+    return lead
+
+
+@inlined
+def linearised_at(state):
+    """Return the refit at whose parameters segments are linearised: that in use, or the best.
+
+    Other candidates are no solution: a refit would start from where its data do not lead. The first
+    is the best until one that looks back as far has proved better.
+    """
+    chosen = int(state.count[CHOSEN])
+    if chosen < REFITS:
+        return chosen
+    best, most = 0, 1.0
+    if state.count[SCORED] >= ENOUGH:
+        for r in range(1, SHORT):
+            lead = _lead(r, state.errors)
+            if lead > most:
+                best, most = r, lead
+    return best
+
+
+@kernel
+def proved(newest, state):
+    """Return the candidate to go on with where no more forecasts can be compared.
+
+    It is the one in use, but for a short refit after a change that was found just now. A turn into
+    other waves looks like one, and nothing has confirmed it yet. Then it is the long refit with
+    the best record.
+    """
+    chosen, errors = int(state.count[CHOSEN]), state.errors[1]
+    if not SHORT <= chosen < REFITS or (newest - state.count[ALARM]) * GRID > SETTLED:
+        return chosen
+    best = 0
+    for r in range(1, SHORT):
+        if errors[r] < min(errors[best], errors[0] - MARGINS[1]):
+            best = r
+    return best
+
+
+@inlined
+def _trust_of(candidate):
+    """Return how far the data are trusted while a candidate is in use."""
+    if candidate < REFITS:
+        return max(_TRUSTS[candidate], 1.0)
+    return 1.0 if candidate == PRIOR else TRUST_OF_JOINT
+
+
+@inlined
+def _candidates(config):
+    """Return how many candidates there are."""
+    return CANDIDATES if config.joint == FIRST else PRIOR + 1
+
+
+@kernel
+def _begin_after(changed, first, state, segments, config, model, work):
+    """Begin with the short refits after a change, from what was known at the row ``first``.
+
+    Of a boat that has hardly sailed nothing is known that could have changed.
+    """
+    count, errors, samples = state.count, state.errors, samples_of(config)
+    quadratics_by_changes(0, segments.params, segments, config, model, work.change)
+    if known_before(changed, samples, segments, config, work.change) < KNOWN_THRUST:
+        return
+    base = state.past[max(first, 0) // config.spacing % state.past.shape[0], int(count[CHOSEN])]
+    trust = _trust_of(int(count[CHOSEN]))
+    # the first refit trusts the data least, and its covariance is the widest
+    known = state.factors[0], state.pull, state.information
+    if not widen_known(base, *known, config, model, work):
+        return
+    state.surprise[0] = 0.0
+    count[CHANGED], count[CHOSEN], count[ALARM] = changed, SHORT, count[NOTED]
+    for r in range(SHORT, REFITS):
+        if _TRUSTS[r] <= trust:
+            count[CHOSEN] = r
+    for m in range(len(MEMORIES)):
+        for r in range(SHORT, REFITS):
+            lead = HEAD_START - FOLLOWS * abs(math.log10(_TRUSTS[r] / trust))
+            errors[m, r] = errors[m, 0] - lead * MARGINS[m]
+
+
+@inlined
+def _may_change(row, count):
+    """Return whether enough is known to say that the boat has changed, and not just now."""
+    return count[SCORED] >= KNOWN and (row - count[ALARM]) * GRID >= SETTLED
+
+
+@kernel
+def _test_for_change(newest, state, segments, config, model, work):
+    """Begin with the short refits where a change explains the last segments better.
+
+    Much better, or at all where the forecasts have become worse than they used to be.
+    """
+    if not _may_change(newest, state.count):
+        return
+    samples, first, surprise = samples_of(config), newest - config.steps, state.surprise
+    enough = EVIDENCE_ALARM if surprise[0] < SURPRISE_ALARM else 0.0
+    for k in range(_LAGS.shape[0]):
+        since = first - _LAGS[k]
+        quadratics_by_changes(since, segments.params, segments, config, model, work.change)
+        if change_evidence(since, samples, segments, config, work.change) > enough:
+            _begin_after(since, first, state, segments, config, model, work)
+            return
+    if surprise[0] >= SURPRISE_ALARM:
+        surprise[0] = 0.0
+
+
+@kernel
+def score(first, rows, state, config, model, work):
+    """Compare what the refits predicted at a row with what came."""
+    count, errors, worse = state.count, state.errors, 0.0
+    if first <= count[ALARM]:
+        return  # the short refits were others when it began
+    count[SCORED] += 1.0
+    for r in range(_candidates(config)):
+        xi = state.past[first // config.spacing % state.past.shape[0], r]
+        error = forecast_error(first, rows, xi, model, config, work.line)
+        error = math.log(min(max(error, LEAST), MOST))
+        if r == int(count[CHOSEN]):
+            worse = min(error - errors[1, r], SURPRISE_MAX)
+        for m in range(len(MEMORIES)):
+            errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
+    surprise = state.surprise
+    surprise[0] = min(max(surprise[0] + worse - SURPRISE_DRIFT, 0.0), SURPRISE_ALARM)
+    if not _may_change(first, count):
+        surprise[0] = 0.0
+
+
+@kernel
+def is_stable(row, xi, bounds, model, work):
+    """Return whether velocities are within bounds after :data:`STABLE_FOR` s of held commands.
+
+    The motion starts on both sides of the row's velocities: a mode that grows needs a perturbation.
+    """
+    s = work.s
+    stable = True
+    for side in (-1.0, 1.0):
+        for i in range(3):
+            s[i] = row[i]
+            s[3 + i] = row[LOW + i]
+        s[4] += side * 0.1 * bounds[1]
+        s[5] += side * 0.1 * bounds[2]
+        drive(row[ACT:MIDDLE], work.terms[3])
+        for _ in range(round(STABLE_FOR / GRID)):
+            if not rk4_step(row, row, row[WIND:GOOD], xi, model, work, False):
+                return False
+        for i in range(3):
+            stable = stable and abs(s[3 + i]) <= bounds[i]
+    return stable
+
+
+@kernel
+def _blend(state):
+    """Write the mean of joint filter and refits, weighted by how much better each forecast."""
+    params, known, total = state.params, state.count[SCORED] >= ENOUGH, 0.0
+    for k in range(params.shape[1]):
+        params[BLEND, k] = 0.0
+    for r in range(CANDIDATES):
+        if r in (PRIOR, BLEND):
+            continue
+        lead = (_lead(r, state.errors) if known else 0.0) + (1.0 if r == JOINT else 0.0)
+        weight = math.exp(BLEND_BY * lead)
+        total += weight
+        for k in range(params.shape[1]):
+            params[BLEND, k] += weight * params[r, k]
+    for k in range(params.shape[1]):
+        params[BLEND, k] /= total
+
+
+@inlined
+def _is_refused(candidate, refused):
+    """Return whether a candidate is among the refused ones, the bits of a number."""
+    return (refused >> np.uint64(candidate)) & np.uint64(1)
+
+
+@kernel
+def _best(refused, state, config):
+    """Return the candidate with the best record; -1 if all are refused.
+
+    The default is in use until another has proved better. The blend takes the joint filter's place
+    as soon as its record is better: most of it is the joint filter.
+    """
+    best, most = -1, -math.inf
+    default = JOINT if config.joint == FIRST else 0
+    for r in range(min(_candidates(config), BLEND)):
+        lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
+        if lead > most and not _is_refused(r, refused):
+            best, most = r, lead
+    better = _lead(BLEND, state.errors) > _lead(JOINT, state.errors)
+    if best == JOINT and better and not _is_refused(BLEND, refused):
+        return BLEND
+    return best
+
+
+@kernel
+def select_trust(newest, row, bounds, state, segments, config, model, work):
+    """Refit with the trust in use and another in turn, and put the best candidate to use."""
+    count, params, factors = state.count, state.params, state.factors
+    _test_for_change(newest, state, segments, config, model, work)
+    count[TURN] += 1.0
+    chosen = int(count[CHOSEN])
+    first = chosen if chosen < REFITS else int(count[TURN] + 1) % REFITS
+    other = int(count[TURN]) % (REFITS - 1)
+    for r in (first, other if other < first else other + 1):
+        since = max(newest - int(_SPANS[r]), int(count[CHANGED]) if r >= SHORT else 0, 0)
+        known = Known(_TRUSTS[r], since, work.solve.none, config.information)
+        if r >= SHORT and newest - count[CHANGED] < config.span and state.information[0] > 0.0:
+            known = Known(_TRUSTS[r], since, state.pull, state.information)
+        if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
+            store_factor(work.solve.U, factors[r])
+    if config.joint == FIRST:
+        _blend(state)
+    refused = np.uint64(0)
+    for _ in range(params.shape[0]):
+        if count[SCORED] >= ENOUGH:
+            chosen = _best(refused, state, config)
+            if chosen < 0:
+                return
+        if is_stable(row, params[chosen], bounds, model, work.line):
+            count[CHOSEN] = chosen
+            # less trust, or the prior, forecasts better: it does not make the data say less
+            own = chosen < REFITS and _TRUSTS[chosen] >= 1.0
+            given = chosen if own else 0
+            use(params[chosen], factors[given], _TRUSTS[given], segments, work)
+            return
+        refused |= np.uint64(1) << np.uint64(chosen)
+        if count[SCORED] < ENOUGH:
+            return
+
+
+class TrustSelector:
+    """Refits of the same segments with unequal trust, and the record of each.
+
+    The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
+    flat, and ``state`` the same by name. Of these, ``params`` (c, p) are the parameters of each
+    candidate, ``errors`` (2, c) the mean logarithms of each one's squared errors.
+    """
+
+    def __init__(self, segments: Segments) -> None:
+        self.segments = segments
+        self._sizes = len(segments.prior), segments.steps, segments.config.spacing
+        self.memory = np.zeros(flat_size(selector_state, *self._sizes))
+        self.state: SelectorState = python_views(selector_state)(self.memory, *self._sizes)
+        self.params, self.errors = self.state.params, self.state.errors
+        self.reset()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Structured dtype of the memory; see :class:`SelectorState`."""
+        return named_dtype(selector_state, *self._sizes)
+
+    def reset(self) -> None:
+        """Forget everything; all begin with the prior."""
+        self.memory[:] = 0.0
+        self.state.count[NOTED] = -1.0
+        self.state.count[CHANGED] = -COUNT_MAX
+        self.state.count[ALARM] = -COUNT_MAX
+        self.state.count[CHOSEN] = JOINT if self.segments.config.joint == FIRST else 0
+        self.params[:] = self.state.past[:] = self.segments.prior
+
+    @property
+    def scored(self) -> int:
+        """Segments that were compared."""
+        return int(self.state.count[SCORED])
+
+    @property
+    def chosen(self) -> int:
+        """The candidate in use: a refit, :data:`PRIOR`, :data:`JOINT` or :data:`BLEND`."""
+        return int(self.state.count[CHOSEN])
+
+    @property
+    def refitted(self) -> bool:
+        """Whether there was a refit."""
+        return bool(self.state.count[TURN] > 0.0)
+
+    @property
+    def uses_prior(self) -> bool:
+        """Whether the parameters in use are the prior's."""
+        return not self.refitted or self.chosen == PRIOR
+
+    @property
+    def name(self) -> str:
+        """The candidate in use, in plain words."""
+        if not self.refitted:
+            return UNTRIED
+        return _NAMES.get(self.chosen) or self._refit_name(self.chosen)
+
+    def _refit_name(self, r: int) -> str:
+        """Return a refit in plain words: its seconds of data, and how far it trusts them."""
+        span = min(SPANS[r], self.segments.config.span * GRID)
+        return f"the refit to the last {span:.0f} s, data weight {TRUSTS[r]:g}"
+
+    def best_refit(self) -> tuple[Array, Array] | None:
+        """Return mean and standard deviations, each (p,), of the best refit; None without one."""
+        best = int(linearised_at(self.state))
+        factor = self.state.factors[best]
+        if not factor[0, 0] > 0.0:
+            return None
+        inverse = np.linalg.inv(factor)  # the covariance is that times its transpose
+        return self.params[best].copy(), np.sqrt(np.sum(inverse**2, axis=1))
+
+    def note(self, starts: Iterable[int]) -> None:
+        """Keep the parameters of all refits for the segments that begin at some rows."""
+        for start in starts:
+            note(start, self.segments.config.spacing, self.state)
+
+    def score(self, first: int, rows: Array) -> None:
+        """Compare what the refits predicted at a segment's first row with what came."""
+        own = self.segments
+        score(first, rows, self.state, own.config, own.model, own.work)
+
+    def solve(self, newest: int, row: Array, bounds: Array) -> None:
+        """Refit with the trust in use and another in turn, and put the best of all to use."""
+        own = self.segments
+        select_trust(newest, row, bounds, self.state, own.state, own.config, own.model, own.work)
