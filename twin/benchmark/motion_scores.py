@@ -25,6 +25,7 @@ __all__ = [
     "SHOWN_UNITS",
     "MotionScore",
     "MotionTruth",
+    "attitude_lines",
     "auc",
     "median_scores",
     "motion_rows",
@@ -187,6 +188,30 @@ def median_scores(rows: Sequence[Mapping[str, Any]], horizon: float) -> dict[str
     """Return the medians over rows of one horizon (s), by the names in :data:`MOTION_METRICS`."""
     here = [row for row in rows if row["horizon_s"] == horizon]
     return {name: float(np.median([row[name] for row in here])) for name in MOTION_METRICS}
+
+
+def attitude_lines(results: Mapping[str, Any]) -> list[str]:
+    """Return what the verdict says of roll and pitch, and of a quiet deck; nothing without them.
+
+    The skill is the error over the standard deviation of the motion, the median over runs.
+    """
+    rows, lines = shown_motion(results), []
+    for channel in ("roll", "pitch"):
+        block = [row for row in rows["motion"] if row["channel"] == channel]
+        if block:
+            one, two = (median_scores(block, horizon) for horizon in (1.0, 2.0))
+            lines.append(
+                f"{channel} of {block[0]['predictor']} 1 and 2 s ahead errs by {one['skill']:.2f} "
+                f"and {two['skill']:.2f} of its standard deviation, held by {one['held']:.2f} and "
+                f"{two['held']:.2f}; {100.0 * one['coverage90']:.0f} and "
+                f"{100.0 * two['coverage90']:.0f} % are inside the 90 % intervals"
+            )
+    for span in QUIET_SPANS if rows["quiet"] else ():
+        skills = [row["brier_skill"] for row in rows["quiet"] if row["span_s"] == span]
+        known = [skill for skill in skills if skill is not None]
+        said = f"Brier skill {np.median(known):.2f}" if known else "no spells of both kinds"
+        lines.append(f"quiet deck for {span:g} s: {said}")
+    return lines
 
 
 def _reliability(p: Array, happened: NDArray[np.bool_]) -> list[list[float]]:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from twin.agents.evaluation import mean_scores
 from twin.agents.training import Plan, Run
+from twin.benchmark.motion_scores import attitude_lines
 from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.boat_prior import BoatPrior
@@ -304,6 +305,8 @@ def print_scores(results: dict[str, Any]) -> None:
     """
     if results["verdict"]:
         _print_simulated(results["verdict"])
+    for line in attitude_lines(results):
+        console.print(line, highlight=False, soft_wrap=True)
     _print_recorded_verdict(results)
     for name, log in results.get("logs", {}).items():
         parts = []

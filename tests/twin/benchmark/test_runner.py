@@ -13,6 +13,7 @@ from twin.benchmark import runner as bench
 from twin.benchmark import scores
 from twin.benchmark.loading import load_run, with_faults
 from twin.benchmark.metrics import METRICS
+from twin.benchmark.motion_scores import attitude_lines
 from twin.benchmark.protocol import (
     FULL,
     FULL_CASES,
@@ -490,6 +491,11 @@ def test_a_rolling_boat_is_scored_in_roll_pitch_and_heave(tmp_path):
     assert [row["span_s"] for row in results["quiet"]] == [2.0, 3.0, 5.0]
     (figure,) = bench.run_figures(settings, done)
     assert [forecast.t0 for forecast in figure.examples["ukf"]] == pytest.approx([80.0, 90.0])
+    # the verdict says it in words
+    said = attitude_lines(results)
+    assert [line.split()[0] for line in said] == ["roll", "pitch", "quiet", "quiet", "quiet"]
+    assert f"errs by {rows['roll', 1.0]['skill']:.2f} and" in said[0] and "ukf" in said[0]
+    assert attitude_lines({}) == []
 
 
 class Gaps(Persistence):
