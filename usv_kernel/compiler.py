@@ -263,7 +263,7 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _DamageError(UsvTwinError):
-    """A file of compiled code that is damaged; never seen outside of this module."""
+    """A file of compiled code that is damaged or outdated; never seen outside of this module."""
 
 
 def _sealed(data: Any) -> bytes:
@@ -277,7 +277,10 @@ def _opened(path: str) -> Any:
     content = Path(path).read_bytes()
     if zlib.crc32(content[4:]).to_bytes(4, "big") != content[:4]:
         raise _DamageError(f"{path}: is damaged")
-    return pickle.loads(content[4:])
+    try:
+        return pickle.loads(content[4:])
+    except (ImportError, AttributeError):  # of types that an earlier version had
+        raise _DamageError(f"{path}: is outdated") from None
 
 
 def _check_files(cache: Any) -> None:

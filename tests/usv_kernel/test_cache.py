@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numba
@@ -292,3 +293,17 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path) -> None:
     assert len({number for number, _ in answers}) == 1
     # compiled at first and after each damage, read from the disk after none
     assert [compiled for _, compiled in answers] == [True, False, True, True, True]
+
+
+def test_a_cache_that_names_types_of_an_earlier_version_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = types.ModuleType("usv_kernel_gone")
+    module.Gone = type("Gone", (), {"__module__": "usv_kernel_gone"})
+    monkeypatch.setitem(sys.modules, "usv_kernel_gone", module)
+    file = tmp_path / "index"
+    file.write_bytes(compiler._sealed({module.Gone: 1}))
+    assert len(compiler._opened(str(file))) == 1
+    monkeypatch.delitem(sys.modules, "usv_kernel_gone")
+    with pytest.raises(compiler._DamageError, match="outdated"):
+        compiler._opened(str(file))
