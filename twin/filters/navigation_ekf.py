@@ -30,13 +30,7 @@ Rejected as samples, besides NaN, are
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
-Innovations of the position are weighted by min(1, knee / q), with q their normalised square. A
-receiver's jump of some deviations then hardly pulls the velocity. Other channels are not weighted:
-where gyro or accelerometers are at fault, these correct the state.
-
 The filter knows nothing of waves: what it says moves with them.
-
-Source: weights by the inverse square, Maronna, Martin and Yohai 2006, Robust Statistics, 2.2.
 """
 
 from __future__ import annotations
@@ -130,12 +124,10 @@ _AIDED = 1e4
 
 
 @kernel
-def _correct(nav, work, innovation, variance, age, channel, knee, least):
+def _correct(nav, work, innovation, variance, age, channel):
     """Correct by one number with measurement row H; return False where it is refused.
 
-    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing. A
-    squared innovation of over ``knee`` variances counts less. It is taken for ``least`` variances
-    at least: as much as the other number of the sample is off.
+    ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
@@ -144,7 +136,7 @@ def _correct(nav, work, innovation, variance, age, channel, knee, least):
         S = _gain(P, H, variance, gain)
     S = max(S, variance)
     if channel >= 0:
-        if max(innovation * innovation, least * S) > GATE * GATE * S:
+        if innovation * innovation > GATE * GATE * S:
             nav.refused[channel] += max(1.0, REFUSED_RATE * age)
             if nav.refused[channel] <= REFUSED_MAX:
                 return False
@@ -155,9 +147,8 @@ def _correct(nav, work, innovation, variance, age, channel, knee, least):
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
-            S, least = max(_gain(P, H, variance, gain), variance), 0.0
+            S = max(_gain(P, H, variance, gain), variance)
         nav.refused[channel] = 0.0
-    S *= max(innovation * innovation / (knee * S), least / knee, 1.0)
     step = innovation / S
     for i in range(N_NAV):
         n[i] += gain[i] * step
@@ -227,7 +218,7 @@ def aid(nav, work, entry, value, variance):
     work.H[:] = 0.0
     work.H[entry] = 1.0
     variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
-    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, math.inf, 0.0)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
 
 @inlined
@@ -400,14 +391,6 @@ def _take_fix(nav, z, dt, repeats, settings, work):
     gps_var = settings.gps_var + drift * late * late / 3.0
     doppler_var = settings.doppler_var + drift
     fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
-    least = 0.0
-    if settings.knee < math.inf:
-        # north and east of a fix are wrong together
-        for j in range(2):
-            if abs(z[j]) < REACH:
-                innovation = z[j] - _expected(j, past, before, settings, H)
-                S = max(_gain(P, H, gps_var, work.gain), gps_var)
-                least = max(least, innovation * innovation / S)
     for j in range(4):
         if not abs(z[j]) < (REACH if j < 2 else fastest):
             continue
@@ -417,8 +400,7 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        off, knee = (least, settings.knee) if j < 2 else (0.0, math.inf)
-        if _correct(nav, work, innovation, variance, age, j, knee, off):
+        if _correct(nav, work, innovation, variance, age, j):
             nav.gps_age = 0.0
 
 
@@ -455,7 +437,7 @@ def _correct_by_gyro(nav, z, settings, work):
     n, H = nav.n, work.H
     H[R] = H[GYRO_BIAS] = 1.0
     innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
-    if _correct(nav, work, innovation, settings.gyro_var, nav.imu_age, 5, math.inf, 0.0):
+    if _correct(nav, work, innovation, settings.gyro_var, nav.imu_age, 5):
         nav.imu_age = 0.0
     H[R] = H[GYRO_BIAS] = 0.0
 
@@ -468,7 +450,7 @@ def _correct_by_compass(nav, z, repeats, settings, work):
     still = nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < variance
     if not repeats or still:
         H[PSI] = H[COMPASS_BIAS] = 1.0
-        if _correct(nav, work, innovation, variance, nav.compass_age, 4, math.inf, 0.0):
+        if _correct(nav, work, innovation, variance, nav.compass_age, 4):
             nav.compass_age = 0.0
         H[PSI] = H[COMPASS_BIAS] = 0.0
 

@@ -138,8 +138,6 @@ NAVIGATION_SETTINGS = np.dtype(
         ("imu_x", "f8"),  # IMU likewise, m
         ("imu_y", "f8"),
         ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
-        # squared innovation of a position over its variance: beyond, it counts less
-        ("knee", "f8"),
     ]
 )
 """What the filter is given of a boat and its instruments."""
@@ -156,7 +154,7 @@ NAVIGATION_WORK = np.dtype(
 """Scratch of the filter."""
 
 
-def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Array:
+def navigation_settings(particulars: Particulars) -> Array:
     """Return the settings of the filter for a boat, in the order of :data:`NAVIGATION_SETTINGS`.
 
     Parameters
@@ -164,13 +162,10 @@ def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Arr
     particulars : Particulars
         Length, speed and instruments are used; what no data sheet states scales with speed
         and length (Froude).
-    knee : float
-        Squared innovation of a position over its variance, from which on it counts less; infinite
-        if all count alike.
 
     Returns
     -------
-    ndarray, shape (24,)
+    ndarray, shape (23,)
     """
     I, U, L = particulars.instruments, particulars.speed, particulars.length
     turn = U / L
@@ -198,7 +193,6 @@ def navigation_settings(particulars: Particulars, knee: float = math.inf) -> Arr
             *I.gps_arm[:2],
             *I.imu_arm[:2],
             largest_leap(particulars),
-            knee,
         ]
     )
 

@@ -72,12 +72,11 @@ SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 
 REFITS = len(TRUSTS)
 
-PRIOR, JOINT, BLEND = REFITS, REFITS + 1, REFITS + 2
-"""Candidates that are no refits: the prior's parameters, those of the joint filter, and the mean of
-joint filter and refits, weighted by their records. Without a joint filter there is but the first.
-"""
+PRIOR, JOINT = REFITS, REFITS + 1
+"""Candidates that are no refits: the prior's parameters, and those of the joint filter, if there is
+one."""
 
-CANDIDATES = REFITS + 3
+CANDIDATES = REFITS + 2
 
 _TRUSTS = np.array(TRUSTS)
 COUNT_MAX = 2.0**52
@@ -115,7 +114,6 @@ UNTRIED = "the prior, as there is too little usable data for a refit"
 _NAMES = {
     PRIOR: "the prior, as no refit forecasts better",
     JOINT: "the joint filter",
-    BLEND: "the mean of joint filter and refits, weighted by their forecasts",
 }
 
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
@@ -127,9 +125,6 @@ KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
 HEAD_START, FOLLOWS = 1.1, 0.5
 """Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
 trust leaves, from the trust before."""
-
-BLEND_BY = 3.0
-"""Logarithm of the weight that a lead of one margin gives in the blend."""
 
 TRUST_OF_JOINT = 10.0
 """Trust in the data that goes with the parameters of the joint filter."""
@@ -365,24 +360,6 @@ def is_stable(row, xi, bounds, model, work):
     return stable
 
 
-@kernel
-def _blend(state):
-    """Write the mean of joint filter and refits, weighted by how much better each forecast."""
-    params, known, total = state.params, state.count[SCORED] >= ENOUGH, 0.0
-    for k in range(params.shape[1]):
-        params[BLEND, k] = 0.0
-    for r in range(CANDIDATES):
-        if r in (PRIOR, BLEND):
-            continue
-        lead = (_lead(r, state.errors) if known else 0.0) + (1.0 if r == JOINT else 0.0)
-        weight = math.exp(BLEND_BY * lead)
-        total += weight
-        for k in range(params.shape[1]):
-            params[BLEND, k] += weight * params[r, k]
-    for k in range(params.shape[1]):
-        params[BLEND, k] /= total
-
-
 @inlined
 def _is_refused(candidate, refused):
     """Return whether a candidate is among the refused ones, the bits of a number."""
@@ -393,18 +370,14 @@ def _is_refused(candidate, refused):
 def _best(refused, state, config):
     """Return the candidate with the best record; -1 if all are refused.
 
-    The default is in use until another has proved better. The blend takes the joint filter's place
-    as soon as its record is better: most of it is the joint filter.
+    The default is in use until another has proved better.
     """
     best, most = -1, -math.inf
     default = JOINT if config.joint == FIRST else 0
-    for r in range(min(_candidates(config), BLEND)):
+    for r in range(_candidates(config)):
         lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
         if lead > most and not _is_refused(r, refused):
             best, most = r, lead
-    better = _lead(BLEND, state.errors) > _lead(JOINT, state.errors)
-    if best == JOINT and better and not _is_refused(BLEND, refused):
-        return BLEND
     return best
 
 
@@ -424,8 +397,6 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
             known = Known(_TRUSTS[r], since, state.pull, state.information)
         if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    if config.joint == FIRST:
-        _blend(state)
     refused = np.uint64(0)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
@@ -481,7 +452,7 @@ class TrustSelector:
 
     @property
     def chosen(self) -> int:
-        """The candidate in use: a refit, :data:`PRIOR`, :data:`JOINT` or :data:`BLEND`."""
+        """The candidate in use: a refit, :data:`PRIOR` or :data:`JOINT`."""
         return int(self.state.count[CHOSEN])
 
     @property

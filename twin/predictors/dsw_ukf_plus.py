@@ -145,7 +145,6 @@ class PlusPredictor(UKFPredictor):
     """
 
     tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
-    knee = 2.5**2  # of normal errors 1 % lie beyond it
 
     def __init__(
         self,

@@ -13,7 +13,6 @@ from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
 from twin.identification.data_weight import (
-    BLEND,
     CHOSEN,
     JOINT,
     NOTED,
@@ -372,7 +371,7 @@ def _refit(memory, config, work):
     for i in range(3):
         bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
     select_trust(newest, row, bounds, selector, segments, given, model, scratch)
-    if int(selector.count[CHOSEN]) in (JOINT, BLEND):
+    if int(selector.count[CHOSEN]) == JOINT:
         for i in range(p):
             for k in range(p):
                 segments.cov[i, k] = joint.P[N_STATES + i, N_STATES + k]

@@ -11,7 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -474,8 +474,6 @@ class UKFPredictor(ModelPredictor):
     """
 
     tuning = "about 60 configurations in the study"
-    knee: ClassVar[float] = math.inf
-    """Of the navigation's fixes; see :func:`navigation_settings`."""
 
     def __init__(
         self,
@@ -486,7 +484,7 @@ class UKFPredictor(ModelPredictor):
         seed: int = 0,
     ) -> None:
         super().__init__(particulars, settings or plain_settings(particulars, model), seed=seed)
-        settings_nav = navigation_settings(particulars, self.knee)
+        settings_nav = navigation_settings(particulars)
         self.memory: Any = UKFMemory(initial_navigation(settings_nav), self.ukf.memory)
         self.config: Any = UKFConfig(settings_nav, self.ukf.constants, self.ukf.terms)
         self.work: Any = UKFWork(np.zeros(NAVIGATION_WORK.itemsize // 8), self.ukf.scratch)
