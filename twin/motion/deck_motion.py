@@ -247,13 +247,6 @@ class MotionEstimate:
         """Roll, pitch, heave and deck speed, shape (4,), beside ``sd``."""
         return np.array([self.roll, self.pitch, self.heave, self.deck_speed])
 
-    def heave_at(self, point: ArrayLike) -> float:
-        """Return the heave of a point of the deck (m forward, to starboard, down), m."""
-        a, b, c = map(float, np.asarray(point, dtype=np.float64))
-        s, g = math.sin(self.roll), math.cos(self.roll)
-        tilted = math.cos(self.pitch) * (b * s + c * g) - a * math.sin(self.pitch)
-        return self.heave + tilted - c
-
     def vertical_speed_at(self, point: ArrayLike, yaw_rate: float = 0.0) -> float:
         """Return the vertical speed of a point of the deck, m/s, down.
 

@@ -108,17 +108,6 @@ def prism(low: float, high: float, aft: float, fore: float, half: float, power: 
     return block([(low, aft, fore, half), (high, aft, fore, half)], power)
 
 
-def revolve(profile: Sequence[tuple[float, float]], axis: int, points: int = 12) -> Mesh:
-    """Return a body of revolution about x (0), y (1) or z (2) from (position, radius), m."""
-    angle = 2.0 * math.pi * (np.arange(points) + 0.5) / points
-    along, radius = np.array(profile).T
-    rings = np.empty((len(along), points, 3))
-    rings[..., axis] = along[:, None]
-    rings[..., (axis + 1) % 3] = np.outer(radius, np.cos(angle))
-    rings[..., (axis + 2) % 3] = np.outer(radius, np.sin(angle))
-    return loft(rings, caps=(profile[0][1] > 0.0, profile[-1][1] > 0.0))
-
-
 def foil(chord: float, thick: float, low: float, high: float, lead: float) -> Mesh:
     """Return a vertical blade from z = low to high, its nose ``lead`` ahead of the z axis, m."""
     s = np.array([0.0, 0.08, 0.3, 0.6, 1.0])
@@ -131,8 +120,7 @@ def foil(chord: float, thick: float, low: float, high: float, lead: float) -> Me
 
 def propeller(diameter: float, blades: int = 3) -> Mesh:
     """Return a right-handed propeller about x with its disc at x = 0, m."""
-    hub = 0.14 * diameter
-    pieces = [revolve([(-0.13 * diameter, 0.25 * hub), (0.0, 0.9 * hub), (0.1 * diameter, hub)], 0)]
+    pieces = []
     share = np.array([0.2, 0.45, 0.7, 0.9, 1.0])
     chord = diameter * np.array([0.2, 0.32, 0.36, 0.27, 0.08])
     pitch = np.arctan(1.0 / (math.pi * share))
