@@ -446,11 +446,6 @@ class TrustSelector:
         self.params[:] = self.state.past[:] = self.segments.prior
 
     @property
-    def scored(self) -> int:
-        """Segments that were compared."""
-        return int(self.state.count[SCORED])
-
-    @property
     def chosen(self) -> int:
         """The candidate in use: a refit, :data:`PRIOR` or :data:`JOINT`."""
         return int(self.state.count[CHOSEN])

@@ -247,22 +247,6 @@ class MotionEstimate:
         """Roll, pitch, heave and deck speed, shape (4,), beside ``sd``."""
         return np.array([self.roll, self.pitch, self.heave, self.deck_speed])
 
-    def vertical_speed_at(self, point: ArrayLike, yaw_rate: float = 0.0) -> float:
-        """Return the vertical speed of a point of the deck, m/s, down.
-
-        Parameters
-        ----------
-        point : array_like, shape (3,)
-            m forward, to starboard and down of the origin.
-        yaw_rate : float
-            Of the boat, rad/s; it matters where the boat is heeled far.
-        """
-        rates = np.array([self.roll_rate, self.pitch_rate, yaw_rate])
-        x, y, z = np.cross(rates, np.asarray(point, dtype=np.float64))
-        s, g = math.sin(self.roll), math.cos(self.roll)
-        turned = math.cos(self.pitch) * (s * y + g * z) - math.sin(self.pitch) * x
-        return self.vertical_speed + float(turned)
-
 
 @dataclass(frozen=True)
 class MotionForecast:

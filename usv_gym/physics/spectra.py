@@ -18,6 +18,11 @@ Array = NDArray[np.float64]
 
 PM_ALPHA = 8.1e-3
 
+PM_BETA = 0.74
+
+WIND_19 = 1.026
+"""Wind speed 19.5 m above the sea over that at 10 m, as Eq (16) has it."""
+
 _DRAG = 0.0026
 """Surface drag coefficient of Harris, Davenport and the logarithmic profile."""
 
@@ -31,6 +36,14 @@ def pm_spectrum(omega: Array, hs: float) -> Array:
     """
     omega, fall = np.asarray(omega, dtype=float), 4.0 * PM_ALPHA * (GRAVITY / hs) ** 2
     return PM_ALPHA * GRAVITY**2 * omega**-5.0 * np.exp(-fall * omega**-4.0)
+
+
+def pm_height(wind: float) -> float:
+    """Return Hs in m of the sea that a wind (m/s, 10 m above the sea) fully develops.
+
+    Source: the zeroth moment of Eq (15); .2092 U19.5^2/g.
+    """
+    return 2.0 * math.sqrt(PM_ALPHA / PM_BETA) * (WIND_19 * wind) ** 2 / GRAVITY
 
 
 def pm_peak_period(hs: float) -> float:

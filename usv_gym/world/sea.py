@@ -264,6 +264,15 @@ class SeaState:
             raise SeaError("an empty list of sea states; give one or more")
         return tuple(cls.named(one) for one in seas)
 
+    @classmethod
+    def from_wind(cls, wind: float, **others: Any) -> SeaState:
+        """Return the sea that a mean wind (m/s, at 10 m) fully develops, with further fields.
+
+        Source: Eq (15)-(16); PM by wind is PM by the Hs that follows from it.
+        """
+        _check("wind", wind)
+        return cls(hs=spectra.pm_height(wind), wind=wind, **others)
+
     def replace(self, **changes: Any) -> SeaState:
         """Return the sea state with some values changed; None leaves a value as it is."""
         unknown = set(changes) - {item.name for item in dataclasses.fields(self)}

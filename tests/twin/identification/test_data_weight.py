@@ -5,6 +5,7 @@ import pytest
 
 from twin.identification.data_weight import (
     ENOUGH,
+    SCORED,
     TRUSTS,
     TrustSelector,
     forecast_error,
@@ -144,6 +145,6 @@ def test_a_good_prior_is_kept_in_noise(structure):
     rows = window(structure, structure.mean, np.random.default_rng(3), noise=1.0)
     selector = TrustSelector(segments(structure, structure.mean))
     run(structure, selector, rows)
-    assert selector.scored >= ENOUGH
+    assert selector.state.count[SCORED] >= ENOUGH
     assert selector.chosen == 0
     assert (selector.errors[:, 0] < selector.errors[:, 2]).all()

@@ -7,7 +7,7 @@ import pytest
 
 from twin import Twin
 from twin.channels import MEASUREMENTS
-from twin.identification.data_weight import CHANGED, is_stable
+from twin.identification.data_weight import CHANGED, SCORED, is_stable
 from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
@@ -74,7 +74,7 @@ def test_rough_models_are_refused_or_bounded(log, seed):
     assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
     chosen = predictor.selector.params[predictor.selector.chosen]
     row = predictor.rows[predictor.last_row % len(predictor.rows)]
-    if predictor.selector.scored >= 8 and not (chosen == wild).all():
+    if predictor.selector.state.count[SCORED] >= 8 and not (chosen == wild).all():
         assert is_stable(row, chosen, bounds, own.model, own.work.line)
 
 

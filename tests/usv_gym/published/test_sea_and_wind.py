@@ -16,9 +16,10 @@ BOAT = Vessel.load("usv75").packed.copy()
 
 def test_constants_of_the_pierson_moskowitz_spectrum() -> None:
     omega, U = np.geomspace(0.05, 500.0, 100_001), 7.0  # wind 19.5 m above the sea
-    hs = 0.2092 * U**2 / GRAVITY
+    hs = spectra.pm_height(U / 1.026)
     m0 = float(np.trapezoid(spectra.pm_spectrum(omega, hs), omega))
     assert m0 * GRAVITY**2 / U**4 == pytest.approx(0.0027365, rel=1e-3)
+    assert hs * GRAVITY / U**2 == pytest.approx(0.2092, rel=1e-3)
     period = spectra.pm_peak_period(0.5)
     peak = 2.0 * math.pi / period
     assert peak * math.sqrt(0.5 / GRAVITY) == pytest.approx(0.4012, rel=1e-3)

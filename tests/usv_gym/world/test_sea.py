@@ -142,6 +142,16 @@ def test_tables_have_the_height(name: str) -> None:
     assert state.wave_spectrum().moments.hs == pytest.approx(state.hs, rel=2e-5)
 
 
+def test_pm_by_wind_has_its_height_and_period() -> None:
+    # Hs g / U19.5^2 = .2092: tests/usv_gym/published; U19.5 = 1.026 U10
+    state = SeaState.from_wind(4.5, gusts="none")
+    assert state.hs == pytest.approx(0.2092 * (1.026 * 4.5) ** 2 / GRAVITY, rel=1e-3)
+    assert state.hs == pytest.approx(0.455, abs=1e-3)
+    assert (state.wind, state.gusts) == (4.5, "none")
+    with pytest.raises(SeaError, match="wind = -1: must lie between"):
+        SeaState.from_wind(-1)
+
+
 def test_waves_that_are_not_given_a_period_have_that_of_pm() -> None:
     pm, ittc = SeaState(hs=1.0), SeaState(hs=1.0, spectrum="ittc")
     np.testing.assert_array_equal(pm.wave_spectrum().density, ittc.wave_spectrum().density)
