@@ -14,7 +14,7 @@ from twin import PREDICTORS
 from twin.benchmark.figures.data import RunFigure, reference_of
 from twin.benchmark.figures.results import growth_figure, verdict_figure
 from twin.benchmark.figures.runs import panel_limits
-from twin.benchmark.figures.style import STYLES, predictor_styles
+from twin.benchmark.figures.style import predictor_styles
 from twin.benchmark.report import write_report
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
@@ -185,12 +185,6 @@ def test_the_best_value_is_bold(tmp_path):
     assert "<b>1.50</b>" in text  # lowest MAE
     assert "<b>0</b>" in text  # highest skill
     assert "<b>2.50</b>" not in text
-
-
-def test_line_styles_differ_without_colours():
-    styles = predictor_styles((*PREDICTORS, *STYLES))
-    assert len({str(style) for _, style in styles.values()}) == len(styles)
-    assert len({colour for colour, _ in (styles[name] for name in STYLES)}) == 7
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-300, 1.0, 1.7e308, math.inf])

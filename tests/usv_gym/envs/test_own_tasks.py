@@ -345,10 +345,3 @@ def test_long_paths_and_resets_of_ones_own_are_drawn_by_python() -> None:
     own = USVEnv(task=type("Own", (PathFollowing,), {"reset": reset}))
     own.reset(seed=0)
     assert own.task.points[0, 1].tolist() == [123.0, 0.0]
-
-
-def test_python_draws_a_path_as_kernels_do() -> None:
-    env = USVEnv(task="path")
-    env.reset(seed=4)
-    child = np.random.default_rng(4).spawn(2)[1]
-    np.testing.assert_array_equal(env.task.path(child), env.task.points[0])

@@ -142,16 +142,6 @@ def test_a_new_episode_forgets_the_track_of_the_old() -> None:
     assert len(scene(env).track) <= 2 and len(scene(env).fixes) <= 1
 
 
-def test_tracks_are_as_fine_where_decisions_are_rare() -> None:
-    often, rarely = made(), made(frame_skip=10)
-    sail(often, 5.0)
-    for _ in range(10):
-        rarely.step(AHEAD)
-    assert np.array_equal(scene(often).track, scene(rarely).track)
-    assert np.array_equal(scene(often).fixes, scene(rarely).fixes)
-    assert np.array_equal(scene(often).view, scene(rarely).view)
-
-
 # ------------------------------------------------- wind, waves, rewards
 
 
@@ -236,15 +226,6 @@ def test_observations_are_the_same_with_pictures_and_without(mode: str, twin: An
     shown.close()
 
 
-def test_metadata_says_what_there_is() -> None:
-    env = made(dt=0.1)
-    assert env.metadata["render_modes"] == ["human", "rgb_array"]
-    assert env.metadata["render_fps"] == 10 and USVEnv.metadata["render_fps"] == 20
-    assert made(frame_skip=10).metadata["render_fps"] == 2
-    envs = gym.make_vec("USVTwin-v0", 2, frame_skip=6)
-    assert envs.metadata["render_fps"] == pytest.approx(10.0 / 3.0)
-
-
 def test_without_a_mode_it_warns_and_returns_nothing() -> None:
     env = made(render_mode=None)
     with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
@@ -267,14 +248,6 @@ def test_before_the_reset_there_is_no_picture() -> None:
 def test_sizes_that_cannot_be_are_refused(size: Any) -> None:
     with pytest.raises(ValueError, match="render_size"):
         made(render_size=size)
-
-
-def test_a_list_of_frames_is_collected_by_gymnasium() -> None:
-    env = gym.make("USVTwin-v0", twin=None, render_mode="rgb_array_list")
-    env.reset(seed=0)
-    env.step(AHEAD)
-    frames = env.render()
-    assert isinstance(frames, list) and len(frames) == 2
 
 
 def test_a_missing_library_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

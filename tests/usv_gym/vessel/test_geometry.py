@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from usv_gym import Vessel, vessel_names
-from usv_gym.vessel.geometry import Form, Mesh, boat_of
-from usv_gym.vessel.hull_lines import HullLines
-from usv_gym.vessel.vessel import KIND_SCHEMA
+from usv_gym.vessel.geometry import Mesh, boat_of
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -112,41 +108,3 @@ def test_drives_and_rudders_have_the_positions_of_the_vessel(vessel: Vessel) -> 
             assert drive.moves == ("" if vessel.kind == "thruster_pair" else "steer")
             assert drive.position[0] == pytest.approx(v.get("x_P", drive.position[0]))
             assert drive.position[0] < boat["hull"].mesh.bounds[0, 0] + 0.1 * v["length_overall"]
-
-
-@st.composite
-def forms(draw: st.DrawFn) -> Form:
-    """Draw a form of any shape and size."""
-    length, kind = draw(st.floats(0.5, 400.0)), draw(st.sampled_from(tuple(KIND_SCHEMA)))
-    beam = length / draw(st.floats(1.2, 10.0))
-    draft = beam / draw(st.floats(1.5, 12.0))
-
-    def some(low: float, high: float, scale: float) -> float | None:
-        share = draw(st.none() | st.floats(low, high))
-        return None if share is None else share * scale
-
-    return Form(
-        length=length,
-        beam=beam,
-        draft=draft,
-        volume=draw(st.floats(0.35, 0.9)) * length * beam * draft,
-        length_overall=some(0.9, 1.4, length),
-        waterplane=some(0.3, 1.0, length * beam),
-        kind=kind,
-        units=2 if kind == "thruster_pair" else draw(st.sampled_from([1, 2])),
-        arm=some(-0.8, -0.01, length),
-        aside=some(0.0, 0.6, beam),
-    )
-
-
-@pytest.mark.slow
-@settings(max_examples=50, deadline=None)
-@given(forms())
-def test_any_boat_can_be_drawn(form: Form) -> None:
-    hull = HullLines(form).mesh
-    check_solid(hull)
-    assert submerged(hull) == pytest.approx(form.volume, rel=0.02)
-    np.testing.assert_allclose(waterline(hull), [form.length, form.beam], rtol=1e-6)
-    assert hull.bounds[1, 2] == pytest.approx(form.draft)
-    for part in boat_of(form).parts:
-        check_solid(part.mesh)
