@@ -115,7 +115,7 @@ def _await_backlog(dt, memory):
     memory.backlog, memory.heard = max(memory.backlog - dt, 0.0), memory.heard + dt
     if memory.backlog == 0.0:
         memory.old = 0.0
-    if silence > max(SILENT_S, ROWS_MISSING * bank.row):
+    if bank.begun > 0.0 and silence > max(SILENT_S, ROWS_MISSING * bank.row):
         memory.backlog, memory.heard = min(silence, GAP_S), 0.0
 
 

@@ -302,3 +302,10 @@ def test_backlog_of_a_stall_is_missing_time(rate):
     twin, _, _, error = sailed("usv75", rate, stall, START_S + 30.0)
     assert all(twin.health[name].status == "ok" for name in SENSORS)
     assert error < 3.0
+
+
+def test_rare_rows_of_a_boat_without_compass_are_used():
+    monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
+    for k in range(20):
+        row = np.array([10.0 * k, 1.0, *[np.nan] * 17])
+        assert monitor.check(5.0, row, np.zeros(4), np.zeros(6), False)[0][0] == 10.0 * k
