@@ -250,9 +250,7 @@ def test_boat_recovers_from_garbage(seed):
 
 
 def after_gap(fault: str) -> tuple[float, set[str]]:
-    """Return the error 30 s after a gap of 40 s, in which the compass was lost, and what was
-    doubted in the last 10 s.
-    """
+    """Return the error 30 s after a gap without compass, and what was doubted in the last 10 s."""
     boat, end = Vessel.load("usv75"), START_S + 70.0
     log = simulate(
         "zigzag", vessel=boat, sea=SeaState(hs=0.4), duration=end + 5.0, seed=6, suite=suite(5)
