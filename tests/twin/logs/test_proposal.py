@@ -228,9 +228,9 @@ def test_what_is_open_is_asked(tmp_path: Path, run: Log) -> None:
     assert 'from = ["Date", "Clock"]' in text and "keeps no date" not in text
     assert "or latitude and longitude are swapped" in text
     assert "vx, vy: are these m/s to north and east?" in text and "gps_vx_mps" not in text
-    columns["Latitude"] = lambda log: ["59.43 N"] * len(log)
+    columns["Latitude"] = lambda log: ["by the quay"] * len(log)
     text = propose(write(tmp_path / "b.csv", run, columns)).text("b.csv")
-    assert "'59.43 N' is no number" in text
+    assert "left out (empty, or no numbers): Latitude" in text
 
 
 def test_missing_columns_are_named(tmp_path: Path) -> None:

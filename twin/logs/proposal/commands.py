@@ -132,6 +132,9 @@ def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
         put(columns, found, target, name, "", more, why)
         return
     most = float(np.abs(values).max(initial=0.0))
-    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
+    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "")
+    if not unit:
+        unit = "rad"
+        found.questions.append(f"{name}: deg or rad? rad is taken, for it is within {most:.2g}")
     why = "above 0 must turn to starboard"
     put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
-from twin.logs.proposal.agreement import Agreement, gyro_on_compass, velocity_on_fixes
+from twin.logs.errors import LogError
+from twin.logs.log import read_table
+from twin.logs.proposal.agreement import (
+    Agreement,
+    gyro_on_compass,
+    heading_on_track,
+    velocity_on_fixes,
+)
 from twin.logs.proposal.commands import find_commands, find_pulses
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
@@ -28,6 +36,7 @@ from twin.logs.proposal.sheet import (
     read_columns,
 )
 from twin.logs.proposal.time_columns import find_time
+from twin.logs.rosbag import is_bag
 
 __all__ = [
     "Proposal",
@@ -62,6 +71,9 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
         Where the file cannot be read.
     """
     path = Path(path)
+    if is_bag(path) or is_autopilot_log(path):
+        read_table(path)
+        raise LogError(f"{path}: is read as it is, or by the mapping that it has")
     columns = read_columns(path)
     found = Proposal()
     t = _time(columns, found, (order, zone))
@@ -228,11 +240,18 @@ def _heading(
     if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
         values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
     unit = angle_unit(name, values)
+    if unit == "deg" and not unit_of(name, ("deg",)) and t is not None and fix is not None:
+        fits = [heading_on_track(fix, clean(t, k * values)) for k in (1.0, math.pi / 180.0)]
+        radians, degrees = (0.0 if f is None else max(f.coherence, f.mirrored) for f in fits)
+        if radians > degrees + 0.3:
+            unit, why = "rad", "turns are counted on, as the track says"
     values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
     heading = None if t is None else clean(t, values)
     east = False if heading is None or fix is None else is_from_east(fix, heading)
     if east is None:
-        found.questions.append(f"{name}: turns against the track; check its sign")
+        found.questions.append(
+            f"{name}: turns against the track; check its sign, or that of latitude or longitude"
+        )
     elif east and heading is not None:
         more = f"{more}, " * bool(more) + 'frame = "enu"'
         why = "it counts from east, as the track says"
@@ -295,15 +314,18 @@ _NAMED = (
     ("gyro_y_radps", "gyro_y", ("degps",)),
     ("accel_x_mps2", "accel_x", ("g",)),
     ("accel_y_mps2", "accel_y", ("g",)),
-    ("wind_mps", "wind_speed", ("kn", "kmph")),
-    ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
+    ("accel_z_mps2", "accel_z", ("g",)),
+    ("wind_mps", "wind_speed", ("kn", "kmph", "mps")),
+    ("apparent_wind_mps", "apparent_speed", ("kn", "kmph", "mps")),
+    ("gps_z_m", "height", ("ft",)),
+    ("gps_vz_mps", "climb", ("kn", "ftps")),
 )
 """Columns whose unit is in the name, if it is not that of the log: meaning, and those units."""
 
 
 def _has_unit(found: Proposal, target: str, unit: str) -> bool:
     """Return whether a column that was found has a unit."""
-    lines = found.lines.get("columns", [])
+    lines = [*found.lines.get("columns", []), *found.lines.get("velocity", [])]
     return any(line.startswith(f"{target} =") and f'unit = "{unit}"' in line for line in lines)
 
 
@@ -318,22 +340,25 @@ def _plain(columns: Columns, found: Proposal) -> None:
                 unit = "deg" if _has_unit(found, "compass_rad", "deg") else "rad"
                 found.questions.append(f"{name}: deg or rad? {unit} is taken, as of the heading")
             put(columns, found, target, name, "deg" * (unit == "deg"))
+    vertical = pick(columns, "accel_z")
+    force = 0.0 if vertical is None else float(np.median(known(columns.numbers[vertical])))
     for target, meaning, units in _NAMED:
         name = pick(columns, meaning)
-        if name is not None:
-            unit = unit_of(name, units)
-            if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
-                unit = "degps" * _has_unit(found, "gyro_radps", "degps")
-            put(columns, found, target, name, unit)
-    name = pick(columns, "accel_z")
-    if name is not None:
-        up = float(np.median(known(columns.numbers[name]))) > 0.0
-        more, why = ("scale = -1.0", "it points up") if up else ("", "")
-        put(columns, found, "accel_z_mps2", name, unit_of(name, ("g",)), more, why)
-    for target, meaning in (("gps_z_m", "height"), ("gps_vz_mps", "climb")):
-        name = pick(columns, meaning)
-        if name is not None:
-            put(columns, found, target, name, "", "scale = -1.0", "down is above 0")
+        if name is None:
+            continue
+        unit, more, why = unit_of(name, units), "", ""
+        if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
+            unit = "degps" * _has_unit(found, "gyro_radps", "degps")
+        elif not unit and meaning in ("wind_speed", "apparent_speed"):
+            unit = "kn" if _has_unit(found, "speed", "kn") else "mps"
+            found.questions.append(f"{name}: m/s or knots? {unit} is taken, as of the boat's speed")
+        elif meaning.startswith("accel"):
+            unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
+            if name == vertical and force > 0.0:
+                more, why = "scale = -1.0", "it points up"
+        elif meaning in ("height", "climb"):
+            more, why = "scale = -1.0", "down is above 0"
+        put(columns, found, target, name, unit.removeprefix("mps"), more, why)
     for target, meaning in (
         ("wind_from_rad", "wind_from"),
         ("apparent_wind_rad", "apparent_from"),

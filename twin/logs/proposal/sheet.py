@@ -12,7 +12,7 @@ import numpy as np
 from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
-from twin.logs.files import number_of, twice_said, units_line
+from twin.logs.files import hemispheres, number_of, twice_said, units_line
 from twin.logs.parquet import column_file
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
 
@@ -65,6 +65,9 @@ def read_columns(path: Path) -> Columns:
     for name, cells in text.items():
         filled = sum(cell.strip() not in EMPTY for cell in cells)
         values = np.array([number_of(cell) for cell in cells], dtype=np.float64)
+        degrees = filled > np.isfinite(values).sum() and re.search(r"\d", "".join(cells))
+        if degrees and (angles := hemispheres(cells)):
+            values = np.array(angles, dtype=np.float64)
         if filled and np.isfinite(values).sum() > 9 * filled // 10:
             numbers[name] = values
     if len(numbers) > 1 and (units := units_line(text)):
@@ -74,9 +77,6 @@ def read_columns(path: Path) -> Columns:
         numbers[name] = np.where(np.isin(numbers[name], found), np.nan, numbers[name])
     return Columns(text, numbers, list(text), twice, marks)
 
-
-_MARKS = (360.0, 511.0, 999.0, 9999.0, 65535.0, 102.3, 1023.0, -1.0, -999.0, -9999.0)
-"""What AIS, NMEA 2000, MAVLink and loggers write for an angle or a speed that is not known."""
 
 _PULSES_US = 800.0, 2200.0
 """Pulse widths that servos and motor controllers take."""
@@ -89,21 +89,26 @@ def _marks(name: str, values: Array) -> list[float]:
     none = np.isin(seen, (0.0, 65535.0))
     if len(pulses) and none.any() and len(pulses) + none.sum() == len(seen):
         return np.unique(seen[none]).tolist()
-    known = seen[~np.isin(seen, _MARKS)]
-    if not any(means(name, NAMES[word]) for word in ("heading", "course", "speed")) or not len(
-        known
-    ):
+    angle = any(means(name, NAMES[word]) for word in ("heading", "course"))
+    if not angle and not means(name, NAMES["speed"]):
         return []
-    found = []
-    for mark in {*_MARKS} & {*seen.tolist()}:
-        rows = np.flatnonzero(seen == mark)
-        beside = seen[np.concatenate([rows - 1, rows + 1]).clip(0, len(seen) - 1)]
-        beside = beside[~np.isin(beside, _MARKS)]
-        beyond = max(known.min() - mark, mark - known.max())
-        # a heading or course of 360 may be north: not beside other courses
-        north = np.abs(np.remainder(beside + 180.0, 360.0) - 180.0) < 30.0
-        if beyond > np.ptp(known) or (beyond > 0.0 and mark >= 360.0 and north.mean() < 0.5):
-            found.append(mark)
+    found: list[float] = []
+    while len(np.unique(seen)) > 2:
+        low, *_, high = np.unique(seen)
+        for mark in (low, high):
+            others = seen[seen != mark]
+            beyond = max(others.min() - mark, mark - others.max())
+            edge = np.diff((seen == mark).astype(np.int8)) != 0
+            # 360, 361 or -1 may be a course beside others to the north
+            apart = np.abs(np.remainder(np.diff(seen)[edge] + 180.0, 360.0) - 180.0) > 30.0
+            turned = angle and (mark < 0.0 <= others.min() or mark >= 360.0 > others.max())
+            far = beyond > np.ptp(others) and len(others) < len(seen) - 1
+            if far or (not angle and mark < 0.0 <= others.min()) or (turned and apart.mean() > 0.5):
+                found.append(float(mark))
+                seen = others
+                break
+        else:
+            break
     return sorted(found)
 
 

@@ -46,9 +46,6 @@ _WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 _AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
 """How far a clock is ahead of UTC, in the name of its column."""
 
-_MOSTLY = 0.9
-"""A column of the name of a time is one where this share of its steps rises."""
-
 
 @dataclass
 class TimeColumns:
@@ -97,7 +94,11 @@ def find_time(
         Order of day and month, and zone; empty where they are not stated.
     """
     found = TimeColumns()
-    named = [name for name in left if means(name, NAMES["time"])]
+    counts = [n for n in left if n in numbers and unit_of(n, ("ms", "us", "ns"))]
+    counts = [name for name in counts if _is_clock(numbers[name])]
+    named = [name for name in left if means(name, NAMES["time"]) or name in counts]
+    fine = [numbers[name] for name in named if name in numbers]
+    coarse = set[str]()
     for names in _clocks(text, numbers, left, named):
         cells = [cell.strip() for cell in text[names[-1]]]
         if names[-1] in numbers:
@@ -105,10 +106,11 @@ def find_time(
         if len(names) == 2:
             cells = joined(text[names[0]], cells)
         formats = date_formats(cells)
-        if formats and not _is_coarse(cells, [numbers[n] for n in named if n in numbers]):
+        if formats and not _is_coarse(cells, fine):
             return _dated(found, names, cells, formats, answers)
+        coarse |= {*names} if formats else set()
     for name in named:
-        if name not in numbers and (cell := _first(text, name)):
+        if name not in numbers and name not in coarse and (cell := _first(text, name)):
             found.questions.append(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
                 'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
@@ -199,9 +201,16 @@ def _dated(
         zone = ""
     else:
         in_head, name = ("", name) if name else _zone_of(title)
-        zone = zone or in_head or ZONES.get(name, "")
+        in_head = in_head or ZONES.get(name, "")
+        if zone and in_head and zone != in_head:
+            found.questions.append(f"{title}: {zone} is taken, as asked, though its name says else")
+            name = ""
+        zone = zone or in_head
         found.why = f"{name} is {zone}" if name else ""
-        if not zone and name:
+        if not zone and name and not formats[0].zone and name not in MEANINGS:
+            found.questions.append(f"{title}: {name}: a zone? UTC is taken; else state it: --zone")
+            found.why = "dates without a zone count as UTC"
+        elif not zone and name:
             found.zone = name
             found.questions.append(
                 f"{title}: {example!r}: {name} is the name of several zones: how far ahead of UTC?"
@@ -222,7 +231,8 @@ def _zone_of(title: str) -> tuple[str, str]:
     if ahead is not None:
         return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
     words = re.findall(r"\b[A-Z]{3,4}\b", title)
-    return "", next((word for word in words if word in {**ZONES, **MEANINGS}), "")
+    unknown = "".join(re.findall(r"[(\[]([A-Z]{3,5})[)\]]", title)[:1])
+    return "", next((word for word in words if word in {**ZONES, **MEANINGS}), unknown)
 
 
 def _whole(found: TimeColumns, title: str, seconds: Array, filled: Array) -> Array:
@@ -240,8 +250,9 @@ def _counted(
     there = [name for name in left if name in numbers]
     rising = [name for name in there if (np.diff(_known(numbers[name])) >= 0.0).all()]
     if not set(rising) & set(named):  # a clock may be set, and rows be out of order
-        steps = {name: np.diff(_known(numbers[name])) for name in there if name in named}
-        rising += [name for name, each in steps.items() if np.mean(each > 0.0) > _MOSTLY]
+        known = {name: _known(numbers[name]) for name in there if name in named}
+        unlike = {n: max(len(np.unique(e)), (np.diff(e) > 0.0).sum()) for n, e in known.items()}
+        rising += [name for name, count in unlike.items() if 2 * count > len(known[name])]
     if not set(rising) & set(named):
         rising = [name for name in rising[:1] if _is_clock(numbers[name])]
         found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
