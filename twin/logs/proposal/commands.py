@@ -116,6 +116,8 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
         more = "scale = 0.02, offset = -30.0"
         put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
     elif "rpm" in words or most > 150.0:
+        if "rpm" not in words:
+            found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")
         put(columns, found, target, name, "rpm", why="" if "rpm" in words else "by its size")
     else:
         put(columns, found, target, name, why="rev/s, or any unit: as in the particulars")

@@ -81,14 +81,18 @@ def read_columns(path: Path) -> Columns:
 _PULSES_US = 800.0, 2200.0
 """Pulse widths that servos and motor controllers take."""
 
+_RARE = 0.01
+"""Numbers that stand for none come in a larger share of the rows; of AIS, those of a speed in any,
+and other commands than pulses lie among them."""
+
 
 def _marks(name: str, values: Array) -> list[float]:
     """Return the numbers of an angle, a speed or a command that are no values."""
     seen = values[np.isfinite(values)]
     pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
-    none = np.isin(seen, (0.0, 65535.0))
-    if len(pulses) and none.any() and len(pulses) + none.sum() == len(seen):
-        return np.unique(seen[none]).tolist()
+    none = (seen < _PULSES_US[0]) | (seen > _PULSES_US[1])
+    if none.any() and (np.isin(seen[none], (0.0, 65535.0)).all() or none.mean() < _RARE):
+        return np.unique(seen[none]).tolist() if len(pulses) else []
     angle = any(means(name, NAMES[word]) for word in ("heading", "course"))
     if not angle and not means(name, NAMES["speed"]):
         return []
@@ -101,8 +105,9 @@ def _marks(name: str, values: Array) -> list[float]:
             edge = np.diff((seen == mark).astype(np.int8)) != 0
             # 360, 361 or -1 may be a course beside others to the north
             apart = np.abs(np.remainder(np.diff(seen)[edge] + 180.0, 360.0) - 180.0) > 30.0
-            turned = angle and (mark < 0.0 <= others.min() or mark >= 360.0 > others.max())
-            far = beyond > np.ptp(others) and len(others) < len(seen) - 1
+            turned = angle and (mark < 0.0 <= others.min() or mark >= 360.0 >= others.max())
+            often = mark in (102.3, 1023.0) or len(others) < (1.0 - _RARE) * len(seen)
+            far = beyond > np.ptp(others) and often
             if far or (not angle and mark < 0.0 <= others.min()) or (turned and apart.mean() > 0.5):
                 found.append(float(mark))
                 seen = others
@@ -156,6 +161,7 @@ def put(
     if name in columns.marks:
         numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
         more = f"{more}, " * bool(more) + f"empty = [{numbers}]"
+        found.questions.append(f"{name}: {numbers} is far from all others, and taken as no value")
     add_line(found, table, entry(target, columns.take(name), unit, more, why))
 
 
