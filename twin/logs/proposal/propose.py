@@ -92,8 +92,6 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
         heading = None if t is None else clean(t, own["compass_rad"])
     if "gyro_radps" not in own:
         _gyro(columns, found, t, heading)
-        if heading is None:
-            _gyro_by_size(columns, found)
     _plain(columns, found)
     find_commands(columns, found, own)
     find_pulses(columns, found)
@@ -291,22 +289,13 @@ def _gyro(
             more, why = "scale = -1.0", "it turns against the heading"
     elif best is not None:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    if heading is None and not unit:
+        if float(np.quantile(np.abs(known(columns.numbers[name])), 0.99)) > _FASTEST:
+            unit, why = "degps", "by its size"
+        else:
+            found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
     given = "" if unit in ("", "radps") else unit
     put(columns, found, "gyro_radps", name, given, more, why)
-
-
-def _gyro_by_size(columns: Columns, found: Proposal) -> None:
-    """Tell the unit of a yaw rate by its size, where there is no heading and no unit."""
-    lines = found.lines.get("columns", [])
-    line = next((text for text in lines if text.startswith('gyro_radps = "')), "")
-    if not line:
-        return
-    name = json.loads(line.removeprefix("gyro_radps = "))
-    most = float(np.quantile(np.abs(known(columns.numbers[name])), 0.99))
-    if most > _FASTEST:
-        lines[lines.index(line)] = entry("gyro_radps", name, "degps", why="by its size")
-    elif not unit_of(name, ("radps",)):
-        found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
 
 
 _NAMED = (
