@@ -145,8 +145,8 @@ class SavedPolicy:
         if not sets or spaces[1].shape != (2,):
             seen = f"{type(spaces[0]).__name__}{shape or ''}, {type(spaces[1]).__name__}"
             raise AgentError(
-                f"{path}: its observations and actions are {seen}; boats give a Box "
-                f"of {', '.join(map(str, sizes.values()))} entries and take two numbers; {SIX_LINES}"
+                f"{path}: its observations and actions are {seen}; boats give a Box of as many "
+                f"entries as a set, {sorted(sizes.values())}, and take two numbers; {SIX_LINES}"
             )
         self.observation = sets[0]
         without = (

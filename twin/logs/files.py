@@ -384,11 +384,7 @@ def _first_cell(line: bytes) -> str:
 
 def is_number(text: str) -> bool:
     """Return whether a text is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return text.strip() not in EMPTY and number_of(text) is not None
 
 
 def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from twin.logs.dates import (
 )
 from twin.logs.files import number_of
 from twin.logs.proposal.header_words import NAMES, means, unit_of
+from twin.logs.proposal.sheet import Proposal
 
 __all__ = ["TimeColumns", "find_time"]
 
@@ -48,8 +49,8 @@ _AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d)
 
 
 @dataclass
-class TimeColumns:
-    """Where the time is, and how to read it.
+class TimeColumns(Proposal):
+    """Where the time is, and how to read it, and what is open.
 
     Parameters
     ----------
@@ -59,12 +60,6 @@ class TimeColumns:
         Unit, other keys and comment of its line in the mapping.
     seconds : ndarray, shape (N,)
         The time, s.
-    questions : list of str
-        What the values leave open.
-    choices : list of DateFormat
-        Two formats, where day and month are open.
-    zone : str
-        The name of a zone, where it means several.
     """
 
     names: tuple[str, ...] = ()
@@ -72,9 +67,6 @@ class TimeColumns:
     more: str = ""
     why: str = ""
     seconds: Array | None = None
-    questions: list[str] = field(default_factory=list)
-    choices: list[DateFormat] = field(default_factory=list)
-    zone: str = ""
 
 
 def find_time(
