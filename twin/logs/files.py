@@ -372,14 +372,11 @@ def _lines_above(text: str, header: Sequence[str], file: BinaryIO) -> int:
         if not line:
             return 0
         cells = max(line.count(mark) for mark in (b",", b";", b"\t")) + 1
-        remark = line.decode("utf-8", "replace").startswith(_REMARKS)
+        start = line.decode("utf-8", "replace")
+        remark, first = start.startswith(_REMARKS), re.split(r"[,;\t]", start, maxsplit=1)[0]
         if cells > max(len(header), 2) and not remark:
-            return above if len(header) == 1 or not is_number(_first_cell(line)) else 0
+            return above if len(header) == 1 or not is_number(first) else 0
     return 0
-
-
-def _first_cell(line: bytes) -> str:
-    return re.split(r"[,;\t]", line.decode("utf-8", "replace"), maxsplit=1)[0].strip()
 
 
 def is_number(text: str) -> bool:

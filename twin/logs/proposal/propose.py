@@ -99,13 +99,9 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
     plain = [name for name in columns.left if name in columns.numbers]
     for names, why in ((plain, ""), (text, " (empty, or no numbers)")):
         if names:
-            found.questions.append(f"left out{why}: {', '.join(map(_shown, names))}")
+            shown = ", ".join(name.strip() or repr(name) for name in names)
+            found.questions.append(f"left out{why}: {shown}")
     return found
-
-
-def _shown(name: str) -> str:
-    """Return a column's name, in quotes where it is empty."""
-    return name.strip() or repr(name)
 
 
 def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array | None:
@@ -124,8 +120,7 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
         one, other = (json.dumps(name, ensure_ascii=False) for name in (date[0], clock))
         line = line.replace(f"from = {other}", f"from = [{one}, {other}]")
     add_line(found, "columns", line)
-    wild = np.zeros(0) if time.seconds is None else wild_stamps(time.seconds)
-    if time.seconds is None or not wild.any():
+    if time.seconds is None or not (wild := wild_stamps(time.seconds)).any():
         return time.seconds
     row = int(np.argmax(wild))
     found.questions.append(

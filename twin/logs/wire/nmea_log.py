@@ -103,8 +103,7 @@ def read_nmea_log(path: Path, layout: Layout | None) -> Table:
         data = {**{k: np.full(len(t), v) for k, v in entry.columns([]).items()}, **data}
     notes = [note for note in feed.notes if "taken as" not in note]
     notes.append(", ".join(f"{name} {count}" for name, count in feed.counts.items() if count))
-    if before:
-        notes.append(f"{before} line(s) before the first that tells the time left out")
+    notes += [f"{before} line(s) before the first that tells the time left out"] * (before > 0)
     epoch, day = None, _RMC.search(b"".join(lines))
     if day is not None:
         midnight = datetime.strptime(day[1].decode(), "%d%m%y").replace(tzinfo=UTC).timestamp()
