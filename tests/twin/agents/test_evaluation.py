@@ -92,8 +92,7 @@ def test_a_model_is_scaled_by_the_file_beside_it(tmp_path, algo, name):
     agent.begin(envs)
     expected = model.predict(boats.normalize_obs(obs), deterministic=True)[0]
     np.testing.assert_allclose(agent.act(obs), expected, rtol=1e-5)
-    (row,) = evaluate(agent, seeds=[5], max_episode_steps=3)
-    assert row["agent"] == "model"
+    assert evaluate(agent, seeds=[5], max_episode_steps=3)[0]["agent"] == "model"
 
 
 def test_a_model_for_another_observation_says_what_to_do(tmp_path):

@@ -124,7 +124,6 @@ OTHERS = {
     b"2024-05-03T09:30:00.123Z,2,127250,10,255,8,00,5a,6b\n": "a record of a CAN bus",
     b'{"context":"vessels.self","updates":[{"values":[]}]}\n': "a file of Signal K deltas",
     b'[{"updates":[{"values":[]}],"context":"vessels.self"}]\n': "a file of Signal K deltas",
-    b'1714728600000;I;{"updates":[{"values":[]}]}\n': "a file of Signal K deltas",
     b"PARM, 1000, SYSID_THISMAV, 1\nGPS, 1000000, 3, 100\n": "a DataFlash log",
     b"2024-05-03 09:30:00.00: ATTITUDE {time_boot_ms : 1000}\n": "a telemetry log of MAVLink",
     b"PAR1\x15\x04\0": "a Parquet file",

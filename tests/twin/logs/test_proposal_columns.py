@@ -221,8 +221,8 @@ def test_hemispheres_in_the_cells_are_read(
     assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
     log = Log.read(path)
     assert log.datum is not None
-    assert log.datum.latitude == pytest.approx(north * 41.5, abs=1e-8)
-    assert log.datum.longitude == pytest.approx(east * 70.6, abs=1e-8)
+    place = log.datum.latitude, log.datum.longitude
+    assert place == pytest.approx((north * 41.5, east * 70.6), abs=1e-8)
     assert log.z[-1, 0] > 200.0 and log.z[-1, 1] > 300.0
 
 

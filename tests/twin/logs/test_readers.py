@@ -18,10 +18,8 @@ from scipy.spatial.transform import Rotation
 from tests.twin.logs.foreign import (
     ALL_ROWS,
     COLUMN,
-    EXAMPLE,
     FOREIGN,
     MAPPINGS,
-    command,
     foreign,
     record,
     refused,
@@ -44,8 +42,6 @@ from twin.logs.errors import LogError
 from twin.logs.log import Log, sibling_path
 from twin.logs.mapping import Layout
 from twin.logs.tables import StateTable
-from twin.sim.bridge import particulars_of
-from usv_gym import Vessel
 from usv_kernel.errors import UsvTwinError
 
 # --- files beside a log -----------------------------------------------------------------------
@@ -518,34 +514,6 @@ def test_parquet_without_its_library_names_the_extra(
 
 
 # --- the commands -----------------------------------------------------------------------------
-
-
-def test_commands_take_mapped_files_and_bags(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    log = run(300)
-    foreign(log).write_parquet("sail.parquet")
-    mapping = str(written(tmp_path / "m.toml", FOREIGN))
-    plain = ("--predictor", "persistence")
-    code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
-    assert code == 2 and "usv-twin check sail.parquet" in said and "--write sail.toml" in said
-    for name in ("sail", "bag"):
-        boat = particulars_of(Vessel.load("usv75"))
-        (tmp_path / f"{name}.toml").write_text(boat.to_toml(), encoding="utf-8")
-    code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
-    assert code == 0, said
-    code, said = command("identify", "sail.parquet", *plain)
-    assert code == 2 and "column(s) t_s, n_left_rps" in said and "a mapping file" in said
-    record(tmp_path / "bag", log, "MCAP")
-    taken = written(tmp_path / "bag.mapping.toml", EXAMPLE)
-    code, said = command("identify", "bag", *plain)
-    assert code == 0 and "/steering" in said and "time of receipt" in said
-    taken.rename("else.toml")
-    scored = ("--predictors", "persistence", "--faults", "none", "--jobs", "1", "--out", "out")
-    code, said = command("benchmark", "bag", "--mapping", "else.toml", *scored)
-    assert code == 0, said
-    assert list((tmp_path / "out" / "runs").glob("bag_none_0_persistence_*.json"))
 
 
 def test_a_package_adds_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
