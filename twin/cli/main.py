@@ -55,6 +55,14 @@ MOVED = {
     "judge": "usv-twin check LOG",
     "mapping new": "usv-twin mapping LOG",
     "replay": "examples/replay.py",
+    "study": "examples/agent_study/run.py",
+    "paper": "examples/paper/run.py",
+    "validate": "examples/validation/",
+    "bench": "examples/speed/",
+    "soak": "the tests marked slow",
+    "fmu": "examples/fmu/",
+    "vessel mesh": "examples/hydrodynamics/",
+    "vessel hydro": "examples/hydrodynamics/",
 }
 """What a former command is called now, or where its work is done."""
 
