@@ -159,6 +159,32 @@ def test_oracle_needs_a_simulated_run(folder):
         assert "the true boat of 'boat1_usv_circle' is not known" in refused.stderr
 
 
+HEADER = "t_s,n_left_rps,n_right_rps,delta_left_rad,delta_right_rad,gps_x_m,gps_y_m,compass_rad\n"
+ROWS = "".join(f"{k / 10},5,5,0,0,{k * 0.1},{k * 0.2},{0.1 + 0.001 * k}\n" for k in range(50))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (HEADER.replace("compass_rad", "magnet") + ROWS, ["compass_rad"]),
+        (HEADER + ROWS + "1.0,5,5,0,0,1,1,1\n", ["line 52", "t_s"]),
+        (HEADER + ROWS.replace("0.3,5,5", "0.3,5,five"), ["five", "n_right_rps"]),
+        (
+            HEADER + "".join(f"{k / 10},5,5,0,0,{k},{k},0.5\n" for k in range(50)),
+            ["compass_rad", "empty"],
+        ),
+        ("", ["empty"]),
+        (HEADER, ["no row"]),
+    ],
+)
+def test_broken_logs_are_refused_with_the_place(tmp_path, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    error = run("identify", path, check=2).stderr
+    assert error.startswith("error: ")
+    assert all(word in error for word in ("bad.csv", *words)), error
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
