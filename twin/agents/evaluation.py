@@ -21,7 +21,7 @@ from twin.agents.agent import Agent
 from twin.agents.controllers import CONTROLLERS, DOCKING
 from twin.agents.hyperparameters import algorithm_class
 from twin.agents.policy import AgentError, Policy
-from twin.agents.weights import SavedPolicy
+from twin.agents.weights import SIX_LINES, SavedPolicy
 from twin.sim.wrapper import OBSERVATIONS, log_of
 from usv_gym.envs.scoring import STATION
 from usv_gym.envs.vector import USVVectorEnv
@@ -239,6 +239,10 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
     if ":" in model:
         return [(model, import_named(model, AgentError, model)())]
     known = CONTROLLERS | DOCKING
+    if path.exists():
+        raise AgentError(
+            f"{model}: is no policy (.npz) and no model of Stable-Baselines3 (.zip); {SIX_LINES}"
+        )
     if model not in known:
         raise AgentError(
             f"{model}: no such folder, policy or controller; "

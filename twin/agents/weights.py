@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,12 @@ if TYPE_CHECKING:
 
     from usv_gym.envs.vector import USVVectorEnv
 
-__all__ = ["SavedPolicy", "begin_nominal", "policy_of"]
+__all__ = ["SIX_LINES", "SavedPolicy", "begin_nominal", "policy_of"]
+
+SIX_LINES = (
+    "write the six lines of an agent, as in docs/tutorials/train_agent.md, and name it module:Class"
+)
+"""What to do with a model of another kind."""
 
 
 def actor_layers(net: Any) -> list[Any]:
@@ -97,7 +103,8 @@ class SavedPolicy:
     Parameters
     ----------
     path : Path
-        A .zip file of ``model.save``, of a model that was trained without ``VecNormalize``.
+        A .zip file of ``model.save``. Where ``VecNormalize`` scaled its observations, the file of
+        ``VecNormalize.save`` lies beside it: ``vecnormalize.pkl``, or with the model's name before.
     sizes : dict of str to int
         Entries of each observation set.
 
@@ -108,14 +115,26 @@ class SavedPolicy:
     """
 
     def __init__(self, path: Path, sizes: Mapping[str, int]) -> None:
+        import torch
         from stable_baselines3.common.save_util import load_from_zip_file
 
         try:
             data, parameters, _ = load_from_zip_file(path, device="cpu")
             assert data is not None
             spaces = data["observation_space"], data["action_space"]
-            self._policy = data["policy_class"](*spaces, lambda _: 0.0, **data["policy_kwargs"])
+            more = data["policy_kwargs"] | ({"use_sde": True} if data.get("use_sde") else {})
+            with torch.no_grad():
+                self._policy = data["policy_class"](*spaces, lambda _: 0.0, **more)
             self._policy.load_state_dict(parameters["policy"])
+            beside = {
+                file.stem.replace("_vecnormalize", "").removeprefix("vecnormalize"): file
+                for file in path.parent.glob("*vecnormalize*.pkl")
+            }
+            own = beside.get(path.stem, beside.get(""))  # of this model, else of all in the folder
+            self._mean, self._sd, self._clip = 0.0, 1.0, np.inf
+            if own is not None and (scale := pickle.loads(own.read_bytes())).norm_obs:
+                self._mean, self._clip = scale.obs_rms.mean, scale.clip_obs
+                self._sd = np.sqrt(scale.obs_rms.var + scale.epsilon)
         except Exception as error:  # what is pickled may raise anything
             raise AgentError(
                 f"{path}: is no model of Stable-Baselines3 that can be loaded here "
@@ -123,12 +142,18 @@ class SavedPolicy:
             ) from None
         self.name, shape = path.stem, spaces[0].shape
         sets = [name for name, size in sizes.items() if shape == (size,)]
-        if not sets:
+        if not sets or spaces[1].shape != (2,):
+            seen = f"{type(spaces[0]).__name__}{shape or ''}, {type(spaces[1]).__name__}"
             raise AgentError(
-                f"{path}: sees {shape}, and no observation set has as many entries; write the six "
-                "lines of an agent, as in docs/tutorials/train_agent.md, and name it module:Class"
+                f"{path}: its observations and actions are {seen}; boats give a Box of as many "
+                f"entries as a set, {sorted(sizes.values())}, and take two numbers; {SIX_LINES}"
             )
         self.observation = sets[0]
+        without = (
+            "as it is; had it been trained with VecNormalize, its vecnormalize.pkl lay beside it"
+        )
+        how = without if own is None else f"scaled by {own.name}"
+        self.note = f"{path}: sees the observation {sets[0]}, {how}"
         self._memory: Any = None
         self._begins: NDArray[np.bool_] | None = None
 
@@ -138,8 +163,12 @@ class SavedPolicy:
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return the actions, shape (n, 2), for observations (n, D)."""
+        scaled = np.clip((obs - self._mean) / self._sd, -self._clip, self._clip)
         action, self._memory = self._policy.predict(
-            obs, state=self._memory, episode_start=self._begins, deterministic=True
+            scaled.astype(np.float32),
+            state=self._memory,
+            episode_start=self._begins,
+            deterministic=True,
         )
         self._begins = None if self._begins is None else np.zeros_like(self._begins)
         return np.asarray(action, dtype=np.float64)

@@ -16,11 +16,13 @@ from twin.agents.evaluation import (
     on_grid,
     trained_with,
 )
+from twin.agents.weights import SavedPolicy
 from twin.cli.common import (
     AnyCurrentOption,
     AnyWindOption,
     JobsOption,
     console,
+    note,
     parse_list,
     parse_seeds,
     parse_world,
@@ -92,6 +94,8 @@ def evaluate_command(
     chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in agents_named(model)]
+    for agent in (agent for _, agent in agents if isinstance(agent, SavedPolicy)):
+        note(agent.note)
     given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}

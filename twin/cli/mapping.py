@@ -14,9 +14,6 @@ from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
 from twin.logs.proposal.propose import Proposal, propose
 
-ZONE = r"[+-](0\d|1[0-4]):[0-5]\d"
-"""How far a clock is ahead of UTC."""
-
 
 def mapping_command(
     log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz or Parquet.")],
@@ -39,7 +36,7 @@ def mapping_command(
     """
     if dates and dates not in ORDERS:
         raise OptionError(f"--dates {dates}: use {' or '.join(ORDERS)}")
-    if zone and not re.fullmatch(ZONE, zone):
+    if zone and not re.fullmatch(r"[+-](0\d|1[0-4]):[0-5]\d", zone):
         raise OptionError(f"--zone {zone}: write hours and minutes, such as -05:00 or +09:30")
     path = out or sibling_path(log, ".mapping.toml")
     if path.exists() and not force:

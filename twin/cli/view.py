@@ -160,12 +160,15 @@ def view_command(
 def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) -> Session:
     """Return the session of an agent by its name, in the environment of its training."""
     from twin.agents.evaluation import agents_named, trained_with
+    from twin.agents.weights import SavedPolicy
     from twin.live.sessions.policy import PolicySession
 
     agents = agents_named(name)
     if len(agents) != 1:
         raise AgentError(f"--policy {name}: holds {len(agents)} agents; name one of them")
     ((_label, agent),) = agents
+    if isinstance(agent, SavedPolicy):
+        note(agent.note)
     given = {} if vessel is None else {"vessel": vessel}
     return PolicySession(agent, out, **trained_with([agent], given), **options)
 

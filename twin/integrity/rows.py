@@ -107,6 +107,9 @@ SAILS_M = 20.0
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved."""
 
+ABSURD_SHARE = 0.1
+"""At most so many samples are absurd."""
+
 ABSURD_FROM = {"velocity": 2.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
 """Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2."""
 
@@ -459,7 +462,9 @@ def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recordi
         count = int(np.isfinite(size).sum())
         if count < MANY:
             continue
-        usual = float(np.sort(size)[count - 1 - max(3, int(SINGLE * count))])
+        # without fixes a boat may rest but for a moment
+        few = ABSURD_SHARE if sensor != "velocity" or motion is not None else SINGLE
+        usual = float(np.sort(size)[count - 1 - max(3, int(few * count))])
         limit = np.full(len(z), max(ABSURD * usual, least))
         if sensor == "velocity":
             limit = np.maximum(limit, ABSURD * by_fixes)

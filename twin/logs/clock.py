@@ -64,7 +64,7 @@ def wild_stamps(stamps: Array) -> npt.NDArray[np.bool_]:
         return wild
     t = stamps[rows]
     typical = float(np.median(np.abs(np.diff(t))))
-    wild[rows] = np.abs(t - np.median(t)) > max(MONTH_S, len(t) * typical)
+    wild[rows] = np.abs(t - np.sort(t)[len(t) // 2]) > max(MONTH_S, len(t) * typical)
     rows = rows[~wild[rows]]
     t = stamps[rows]
     step, order = np.diff(t), np.sort(t)

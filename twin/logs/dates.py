@@ -37,7 +37,9 @@ ORDERS = {"day-first": "%d{0}%m{0}{1}", "month-first": "%m{0}%d{0}{1}"}
 
 ZONES = {
     **{"UTC": "+00:00", "GMT": "+00:00", "Z": "+00:00", "WET": "+00:00", "WEST": "+01:00"},
-    **{"CET": "+01:00", "CEST": "+02:00", "EET": "+02:00", "EEST": "+03:00", "MSK": "+03:00"},
+    **{"CET": "+01:00", "MEZ": "+01:00", "CEST": "+02:00", "MESZ": "+02:00", "SAST": "+02:00"},
+    **{"MDT": "-06:00", "PDT": "-07:00", "AKST": "-09:00", "AKDT": "-08:00", "BRT": "-03:00"},
+    **{"EET": "+02:00", "EEST": "+03:00", "MSK": "+03:00"},
     **{"JST": "+09:00", "KST": "+09:00", "HKT": "+08:00", "SGT": "+08:00", "AWST": "+08:00"},
     **{"AEST": "+10:00", "AEDT": "+11:00", "NZST": "+12:00", "NZDT": "+13:00", "HST": "-10:00"},
 }
@@ -45,7 +47,12 @@ ZONES = {
 
 MEANINGS = {
     **{"AST": ("-04:00", "+03:00"), "BST": ("+01:00", "+06:00"), "CDT": ("-05:00", "-04:00")},
-    **{"CST": ("-06:00", "+08:00"), "EST": ("-05:00", "+10:00"), "IST": ("+05:30", "+01:00")},
+    **{
+        "CST": ("-06:00", "+08:00"),
+        "EDT": ("-04:00", "+11:00"),
+        "EST": ("-05:00", "+10:00"),
+        "IST": ("+05:30", "+01:00"),
+    },
     **{"MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
 }
 """What names of several zones mean most often."""
@@ -285,6 +292,8 @@ def _day(
         month = str(_MONTHS.index(name[:3].lower()) + 1)
     if of_year is not None:
         date = datetime(int(year or ""), 1, 1) + timedelta(days=int(of_year) - 1)
+    elif month and day and not int(month) and not int(day):
+        return 0  # a clock that was not set
     else:
         date = datetime(int(year or ""), int(month or ""), int(day or ""))
     return (date - datetime(1970, 1, 1)).days

@@ -28,6 +28,7 @@ __all__ = [
     "hemispheres",
     "is_number",
     "number_of",
+    "opened",
     "shorten",
     "twice_said",
     "units_line",
@@ -45,8 +46,14 @@ _REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
 _LOOK = 1000
 """First rows in which a surplus cell is refused where all columns are looked at."""
 
-SIDES = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
-"""First letters of the hemispheres that a column of their own may name, and their signs."""
+_SIDE = r"(N(?:ORTH)?|S(?:OUTH)?|E(?:AST)?|W(?:EST)?)?"
+
+_ANGLE = re.compile(
+    rf"{_SIDE}\s*(-?\d+\.?\d*)?(\s*°\s*|\s+)?(?:(\d+\.?\d*)\s*['\u2032]?\s*)?"
+    rf"(?:(\d+\.?\d*)\s*[\"\u2033]?\s*)?{_SIDE}",
+    re.ASCII,
+)
+"""Degrees, and maybe minutes and seconds, with the hemisphere before or behind; or that alone."""
 
 Block = tuple[Array, dict[str, Array], set[str]]
 """Number of each row in the file, the columns, and which of them were dates."""
@@ -129,11 +136,43 @@ def as_numbers(
 
 
 def hemispheres(cells: Sequence[str]) -> list[float | None]:
-    """Return the signs of hemispheres, NaN of empty cells; nothing where there is other text."""
-    words = [cell.strip().upper() for cell in cells]
-    if not all(re.fullmatch("(N(ORTH)?|S(OUTH)?|E(AST)?|W(EST)?)?", word) for word in words):
-        return []
-    return [SIDES[word[0]] if word else math.nan for word in words]
+    """Return degrees with a hemisphere, or its sign alone; NaN of empty cells, [] of other text."""
+    found: list[float | None] = []
+    for cell in cells:
+        match = _ANGLE.fullmatch(cell.strip().upper())
+        if cell.strip() in EMPTY:
+            found.append(math.nan)
+        elif match is None or not (match[1] or match[6] or "°" in cell):
+            return []
+        else:
+            side = match[1] or match[6] or "N" if (match[2] or "")[:1] != "-" else "S"
+            parts = [abs(float(part or 0.0)) for part in (match[2] or 1.0, match[4], match[5])]
+            size = parts[0] + parts[1] / 60.0 + parts[2] / 3600.0
+            found.append(-size if side[0] in "SW" else size)
+    return found
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file, plain or gzipped; turn the errors of a damaged one into one with a remedy."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(2)
+        packed = start == b"\x1f\x8b"
+        if path.suffix == ".gz" and start and not packed:
+            raise LogError(
+                f"{path}: is not a gzip file although its name ends in .gz; compress it with "
+                "gzip or drop the .gz"
+            )
+        with gzip.open(path, "rb") if packed else path.open("rb") as file:
+            yield file  # type: ignore[misc]
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise LogError(
+            f"{path}: the gzip file is damaged or cut off ({error}); copy it again, or rescue its "
+            f"start with: zcat {path.name} > rescued.csv"
+        ) from None
+    except OSError as error:
+        raise cannot_be_read(path, error) from None
 
 
 class CsvFile:
@@ -149,42 +188,15 @@ class CsvFile:
     def __init__(self, path: Path) -> None:
         self.path, self.source, self.torn = path, str(path), False
         self.zeros = ""  # column of times whose fractions of a second lack zeros in front
-        try:
-            with path.open("rb") as file:
-                self.packed = file.read(2) == b"\x1f\x8b"
-            empty = not path.stat().st_size
-        except OSError as error:
-            raise cannot_be_read(path, error) from None
-        if path.suffix == ".gz" and not self.packed and not empty:
-            raise LogError(
-                f"{path}: is not a gzip file although its name ends in .gz; compress it with "
-                "gzip or drop the .gz"
-            )
-        with self._whole(), self._open() as file:
+        with opened(path) as file:
             blank, self.mark, self.header = _read_header(path, file)
         self.head, self.first = f"line {blank + 1}", blank + 2
-
-    def _open(self) -> BinaryIO:
-        return gzip.open(self.path, "rb") if self.packed else self.path.open("rb")  # type: ignore[return-value]
-
-    @contextmanager
-    def _whole(self) -> Iterator[None]:
-        """Turn the errors of a damaged file into one that says what to do."""
-        try:
-            yield
-        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-            raise LogError(
-                f"{self.path}: the gzip file is damaged or cut off ({error}); copy it again, or "
-                f"rescue its start with: zcat {self.path.name} > rescued.csv"
-            ) from None
-        except OSError as error:
-            raise cannot_be_read(self.path, error) from None
 
     def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[Block]:
         """Yield the columns named, in pieces of whole lines; ``clock`` holds dates, if any."""
         wanted = [j for j, name in enumerate(self.header) if name in sources]
         first = self.first
-        with self._whole(), self._open() as file:
+        with opened(self.path) as file:
             for _ in range(first - 1):
                 file.readline()
             for text in _pieces(file, self.source):
@@ -231,7 +243,7 @@ class CsvFile:
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the cells of the first rows, by column; of equal names, the first one's."""
-        with self._whole(), self._open() as file:
+        with opened(self.path) as file:
             for _ in range(self.first - 1):
                 file.readline()
             lines = [file.readline() for _ in range(rows)]
@@ -360,23 +372,16 @@ def _lines_above(text: str, header: Sequence[str], file: BinaryIO) -> int:
         if not line:
             return 0
         cells = max(line.count(mark) for mark in (b",", b";", b"\t")) + 1
-        remark = line.decode("utf-8", "replace").startswith(_REMARKS)
+        start = line.decode("utf-8", "replace")
+        remark, first = start.startswith(_REMARKS), re.split(r"[,;\t]", start, maxsplit=1)[0]
         if cells > max(len(header), 2) and not remark:
-            return above if len(header) == 1 or not is_number(_first_cell(line)) else 0
+            return above if len(header) == 1 or not is_number(first) else 0
     return 0
-
-
-def _first_cell(line: bytes) -> str:
-    return re.split(r"[,;\t]", line.decode("utf-8", "replace"), maxsplit=1)[0].strip()
 
 
 def is_number(text: str) -> bool:
     """Return whether a text is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return text.strip() not in EMPTY and number_of(text) is not None
 
 
 def ragged_line(text: bytes, first: int, width: int, mark: str) -> str | None:

@@ -6,11 +6,15 @@ import re
 
 __all__ = ["is_nmea", "kind_of", "mcap_kind"]
 
-_NMEA_LINE = re.compile(rb"^(\\[^\\\r\n]*\\)?[$!][A-Z][A-Z0-9]{3,5},[^\r\n]*", re.MULTILINE)
-"""A sentence of NMEA 0183, behind a TAG block or not."""
+_NMEA_LINE = re.compile(
+    rb"^[-\d:.TZ+,; \t]*([A-Z][,; ])?(\\[^\\\r\n]*\\)?[$!][A-Z][A-Z0-9]{3,5},[^\r\n]*",
+    re.MULTILINE,
+)
+"""A sentence of NMEA 0183, behind a TAG block, the time of a logger, or nothing."""
 
 _MAGIC = {
     b"#ROSBAG V": "a ROS 1 bag; give it the ending .bag",
+    b"PAR1": "a Parquet file; give it the ending .parquet",
     b"ULog": "a log of PX4; make CSV of its topics: ulog2csv FILE, and join them by their time",
     b"\xa3\x95": "a DataFlash log of ArduPilot; give it the ending .bin",
     b"PK\3\4": "a spreadsheet or another packed file; save it as CSV in UTF-8",
@@ -29,15 +33,20 @@ _TEXTS = {
         "(gpsbabel -t -i gpx -f IN -o unicsv -F OUT.csv) and join those of another log"
     ),
     rb"\s*<": f"XML; {_BY_HAND}",
-    rb"\s*(\(\d+\.\d+\)\s+)?v?s?l?can\d+\s+[0-9A-Fa-f]+(#|\s+\[\d)": (
-        "a record of a CAN bus, as candump writes it; decode it (for NMEA 2000: candump2analyzer "
+    rb"\s*(\([-\d :.]+\)\s+)?v?s?l?can\d+\s+([RT]X[-\s]+)?[0-9A-Fa-f]+(#|\s+\[\d)"
+    rb"|date [^\n]*\nbase (hex|dec)|[-\d:.TZ]+,\d,\d{5,6},\d+,\d+,\d+,[0-9A-Fa-f]{2}": (
+        "a record of a CAN bus, such as candump writes; decode it (for NMEA 2000: candump2analyzer "
         "< IN | analyzer -json) and make CSV of that"
     ),
-    rb"\s*\{.{0,2000}\"(updates|context)\"\s*:": (
+    rb"(\d+;\w;)?[\s\[]*\{.{0,2000}\"(updates|context)\"\s*:": (
         f"a file of Signal K deltas, one JSON object a line; {_BY_HAND}"
     ),
     rb"\s*[\[{]": f"JSON; {_BY_HAND}",
-    rb"FMT,\s*\d+,\s*\d+,": (
+    rb"[\d-]+ [\d:.]+: [A-Z_0-9]+ \{": (
+        "a telemetry log of MAVLink as text; give the .tlog that it was made of, whose messages "
+        "are known"
+    ),
+    rb"FMT,\s*\d+,\s*\d+,|([A-Z][A-Z0-9]{2,3}, [^\n]*\n){2}": (
         "a DataFlash log of ArduPilot as text; give the .bin that it was made of, whose messages "
         "are known"
     ),

@@ -312,7 +312,8 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
         return table
     if is_nmea_log(path):
         table = read_nmea_log(path, layout)
-        table.lacking = _lacking(table.source, table.data, "give constants in a mapping file")
+        constants = f"give constants, such as n_rps = 0.0, in {sibling_path(path, '.mapping.toml')}"
+        table.lacking = _lacking(table.source, table.data, constants)
         return table
     file = column_file(path)
     entries, left, layout, lacking = _chosen(file, layout)

@@ -549,16 +549,16 @@ class _Position:
     def _plane(self, latitude: Array, longitude: Array) -> Plane | None:
         if self.datum is not None or np.isnan(latitude).all():
             return self.datum
-        first = int(np.argmin(np.isnan(latitude)))
-        plane = Plane(float(latitude[first]), float(longitude[first]))
-        north, east = plane.metres(latitude, longitude)
-        if math.hypot(np.nanmedian(north), np.nanmedian(east)) > _FAR:
+        known = np.flatnonzero(np.isfinite(latitude))
+        middle = [float(np.sort(each[known])[len(known) // 2]) for each in (latitude, longitude)]
+        metres = Plane(*middle).metres(latitude[known], longitude[known])
+        near = known[np.hypot(*metres) < _FAR]
+        if not len(near):
             raise LogError(
-                f"{self.source}: [position]: the first fix, {plane.latitude:.6g}, "
-                f"{plane.longitude:.6g}, is more than {_FAR / 1e3:g} km off the others; state a "
-                "datum = [latitude, longitude]"
+                f"{self.source}: [position]: no fix is within {_FAR / 1e3:g} km of their middle, "
+                f"{middle[0]:.6g}, {middle[1]:.6g}; state a datum = [latitude, longitude]"
             )
-        return plane
+        return Plane(float(latitude[near[0]]), float(longitude[near[0]]))
 
 
 def _beyond(values: Sequence[Array]) -> str:
@@ -577,7 +577,7 @@ def _fixes(values: Sequence[Array]) -> tuple[Array, Array]:
     latitude, longitude = (value.copy() for value in values[:2])
     # 0, 0 and a status below 0 are a receiver without a fix
     none = (latitude == 0.0) & (longitude == 0.0)
-    none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0)
+    none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0) | (longitude == 181.0)
     if len(values) > 2:
         none |= values[2] < 0.0
     latitude[none], longitude[none] = np.nan, np.nan

@@ -127,11 +127,6 @@ def date_of(epoch: float) -> str:
     return f"{date:%Y-%m-%d %H:%M:%S} UTC"
 
 
-def _time_of_day(seconds: float) -> str:
-    """Return seconds since midnight as a time of day."""
-    return f"{datetime(1970, 1, 1) + timedelta(seconds=seconds % 86400.0):%H:%M:%S}"
-
-
 def _epoch_of_offset(timed: Entry, raw: Mapping[str, Array]) -> float:
     """Return the date, s since 1970, that an offset takes from Unix times; NaN if it does not."""
     if len(timed.sources) != 1:
@@ -201,7 +196,7 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         notes.append("the last line is cut off, and left out")
     notes += said(layout, read, len(place))
     if epoch == epoch and clock.undated:
-        notes.append(f"t_s: counted from {_time_of_day(epoch)}, the log keeps no date")
+        notes.append(f"t_s: counted from {date_of(epoch % 86400.0)[11:19]}, the log keeps no date")
         epoch = math.nan
     elif len(place) and not dated_file:
         epoch = _epoch_of_offset(timed, raw)

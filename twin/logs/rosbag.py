@@ -94,9 +94,9 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
             raise LogError(f"{path}: this is {kind}") from None
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 120)
         raise LogError(
-            f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}). Copy it again, or "
+            f"{path}: the bag is damaged, cut off or no ROS bag ({reason}). Copy it again, or "
             "rescue what is whole with: mcap recover IN.mcap -o OUT.mcap, or: ros2 bag reindex "
-            "FOLDER"
+            "FOLDER, or of ROS 1: rosbag reindex FILE.bag"
         ) from None
     assert layout is not None
     return _united(path, layout, topics)

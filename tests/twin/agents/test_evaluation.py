@@ -71,11 +71,45 @@ def test_a_model_of_stable_baselines3_sails_as_it_was_saved(tmp_path, algo, obse
     assert row["agent"] == "model"
 
 
+@pytest.mark.parametrize("algo", ["PPO", "SAC"])
+@pytest.mark.parametrize("name", ["vecnormalize", "model_vecnormalize"])
+def test_a_model_is_scaled_by_the_file_beside_it(tmp_path, algo, name):
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from usv_gym.envs.sb3 import SB3VecEnv
+
+    boats = VecNormalize(SB3VecEnv(1, observation="twin", frame_skip=10), clip_obs=3.0)
+    model = getattr(sb3, algo)("MlpPolicy", boats, device="cpu", seed=3, use_sde=True)
+    boats.reset()
+    boats.step(np.array([[0.5, 0.1]]))
+    model.save(tmp_path / "model")
+    boats.save(tmp_path / f"{name}.pkl")
+    ((_, agent),) = evaluation.agents_named(str(tmp_path / "model.zip"))
+    assert f"scaled by {name}.pkl" in agent.note
+    envs = make_envs(2, observation="twin")
+    obs = envs.reset(seed=[5, 6])[0]
+    agent.begin(envs)
+    expected = model.predict(boats.normalize_obs(obs), deterministic=True)[0]
+    np.testing.assert_allclose(agent.act(obs), expected, rtol=1e-5)
+    assert evaluate(agent, seeds=[5], max_episode_steps=3)[0]["agent"] == "model"
+
+
 def test_a_model_for_another_observation_says_what_to_do(tmp_path):
     sb3 = pytest.importorskip("stable_baselines3")
     sb3.A2C("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(tmp_path / "pendulum")
     with pytest.raises(AgentError, match="module:Class"):
         evaluation.agents_named(str(tmp_path / "pendulum.zip"))
+    seen = gym.spaces.Dict({"all": gym.make("Pendulum-v1").observation_space})
+    pendulum = gym.wrappers.TransformObservation(
+        gym.make("Pendulum-v1"), lambda obs: {"all": obs}, seen
+    )
+    sb3.A2C("MultiInputPolicy", pendulum, device="cpu").save(tmp_path / "dict")
+    with pytest.raises(AgentError, match="are Dict, Box; boats give a Box of"):
+        evaluation.agents_named(str(tmp_path / "dict.zip"))
+    (tmp_path / "torch.pt").write_bytes(b"PK")
+    with pytest.raises(AgentError, match="is no policy"):
+        evaluation.agents_named(str(tmp_path / "torch.pt"))
     (tmp_path / "no.zip").write_bytes(b"PK")
     with pytest.raises(AgentError, match="is no model of Stable-Baselines3"):
         evaluation.agents_named(str(tmp_path / "no.zip"))

@@ -150,11 +150,6 @@ def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     assert 0.3 < last["sea"]["hs_m"] < 3.0
 
 
-def test_predict_reads_the_recorded_run():
-    out = run("predict", recorded_runs()["boat1_usv_circle"], "--at", "100")
-    assert "boat1 USV" in out.stdout
-
-
 def test_oracle_needs_a_simulated_run(folder):
     run("predict", folder / "run.csv", "--predictor", "oracle", "--at", "30")
     real = recorded_runs()["boat1_usv_circle"]

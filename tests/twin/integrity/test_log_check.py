@@ -31,9 +31,9 @@ from tests.twin.integrity.damaged import (
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.cli.pictures import draw_check
 from twin.integrity.findings import NOTE, WARNING, Finding
-from twin.integrity.log_check import LogCheck, check_log, check_recording
+from twin.integrity.log_check import LogCheck, check_recording
 from twin.logs.datasets import known_ship
-from twin.logs.log import Log, read_table, recorded_runs, sibling_path
+from twin.logs.log import read_table
 from twin.logs.recording import Recording
 from twin.particulars import Instruments, Particulars, ParticularsError
 
@@ -329,38 +329,6 @@ def test_swapped_sides_of_the_blueboat_are_named(run: str) -> None:
         data["n_left_rps"], data["n_right_rps"] = data["n_right_rps"], data["n_left_rps"]
 
     assert "sides:commands" in serious(checked("blueboat_trondheim", run, swap))
-
-
-# --- the log of boat1, which comes with the package ---------------------------------------------
-
-NAME = "boat1_usv_circle"
-
-
-def test_the_packaged_log_is_read_and_checked() -> None:
-    path = recorded_runs()[NAME]
-    boat = Particulars.load(sibling_path(path, ".toml"))
-    check = check_log(path, particulars=boat)
-    assert isinstance(check.log, Log)
-    assert not [f.text for f in check.findings if f.severity == "error"]
-
-
-@pytest.mark.parametrize(
-    ("code", "change"),
-    [
-        ("unit:shafts", scaled(60.0, "n_left_rps", "n_right_rps")),
-        ("sign:compass", scaled(-1.0, "compass_rad")),
-        ("axes:fixes", lambda data: data.update(gps_x_m=data["gps_y_m"], gps_y_m=data["gps_x_m"])),
-    ],
-)
-def test_faults_of_the_packaged_log_are_named(
-    code: str, change: Callable[[dict[str, np.ndarray]], None]
-) -> None:
-    path = recorded_runs()[NAME]
-    table = read_table(path)
-    change(table.data)
-    boat = Particulars.load(sibling_path(path, ".toml"))
-    found = check_recording(Recording.of(table.data, table.given, NAME, table.plane), boat)
-    assert code in serious(found)
 
 
 # --- what turns a verdict ------------------------------------------------------------------------

@@ -64,6 +64,7 @@ UNSET: dict[str, tuple[Callable[[int], str], int]] = {
         lambda k: date(k, datetime(2024, 1, 1) if k < 40 else START),
         40,
     ),
+    "dates of zeros": (lambda k: "0000-00-00 00:00:00" if k < 30 else date(k, START), 30),
     "a date from afar": (lambda k: date(k, datetime(2070, 1, 1) if k == 99 else START), 1),
 }
 

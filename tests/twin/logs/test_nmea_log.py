@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gzip
 import math
 import operator
 from pathlib import Path
@@ -72,6 +73,26 @@ def test_a_log_of_sentences_is_read(tmp_path: Path, end: str, first: str, name: 
     if first == "GGA":
         assert log.datum.utc(log.t[:1])[0] == np.datetime64("2024-05-03T09:30:00")  # type: ignore[index]
         assert np.hypot(*log.z[fixes, 2:4].T) == pytest.approx(2.0, abs=0.02)
+
+
+@pytest.mark.parametrize("stamp", ["2024-05-03T09:30:00.123Z ", "1714728600.5,", "12.3;N;", "7\t"])
+def test_logs_with_stamps_of_their_logger_or_gzipped_are_read(tmp_path: Path, stamp: str) -> None:
+    log = Log.read(written(tmp_path / "a.nmea", lines()))
+    path = tmp_path / "a.nmea.gz"
+    path.write_bytes(gzip.compress("\n".join(stamp + line for line in lines()).encode()))
+    assert np.array_equal(Log.read(path).z, log.z, equal_nan=True)
+
+
+def test_the_clock_of_a_receiver_before_its_first_fix_is_left_out(tmp_path: Path) -> None:
+    void = [sentence(f"GPRMC,0000{k:02d}.00,V,,,,,,,060180,,,N") for k in range(20)]
+    table = read_table(written(tmp_path / "a.nmea", void + lines()))
+    assert np.ptp(table.data["t_s"]) == pytest.approx(SECONDS - 1.0, abs=1.0)
+    assert any("20 line(s) before the first that tells the time" in note for note in table.notes)
+
+
+def test_commands_that_came_are_not_those_of_the_mapping(tmp_path: Path) -> None:
+    rpm = [part for line in lines() for part in (line, sentence("IIRPM,S,0,300.0,,A"))]
+    assert Log.read(written(tmp_path / "a.nmea", rpm)).cmd[-1].tolist() == [5.0, 5.0, 0.0, 0.0]
 
 
 def test_cut_lines_and_midnight_cost_no_row(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_Z, GYRO_X, GYRO_Y
 from twin.cli.main import app
 from twin.logs.dates import date_formats, dates
 from twin.logs.errors import LogError
-from twin.logs.log import Log, recorded_runs
+from twin.logs.log import Log
 from twin.logs.proposal.propose import propose
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
@@ -228,16 +228,9 @@ def test_what_is_open_is_asked(tmp_path: Path, run: Log) -> None:
     assert 'from = ["Date", "Clock"]' in text and "keeps no date" not in text
     assert "or latitude and longitude are swapped" in text
     assert "vx, vy: are these m/s to north and east?" in text and "gps_vx_mps" not in text
-    columns["Latitude"] = lambda log: ["59.43 N"] * len(log)
+    columns["Latitude"] = lambda log: ["by the quay"] * len(log)
     text = propose(write(tmp_path / "b.csv", run, columns)).text("b.csv")
-    assert "'59.43 N' is no number" in text
-
-
-def test_missing_columns_are_named(tmp_path: Path) -> None:
-    log = Log.read(recorded_runs()["boat1_usv_circle"])
-    found = propose(write(tmp_path / "run.csv", log, {"t": numbers(lambda log: log.t)}))
-    assert "gps_x_m" in found.missing and "compass_rad" in found.missing
-    assert "t_s" not in found.missing
+    assert "left out (empty, or no numbers): Latitude" in text
 
 
 def test_an_ambiguous_date_asks(tmp_path: Path, run: Log) -> None:

@@ -195,6 +195,37 @@ HEMISPHERES = {
 }
 
 
+CELLS: list[Callable[[float, str], str]] = [
+    lambda size, side: f"{size:.9f} {side[0]}",
+    lambda size, side: f"{side}{size:.9f}",
+    lambda size, side: f"{size:.9f}°{side}",
+    lambda size, side: f"{int(size)}° {size % 1.0 * 60.0:.8f}' {side}",
+    lambda size, side: f"{int(size) - 1} 60 {size % 1.0 * 3600.0:.6f} {side}",
+    lambda size, side: f"{100 * int(size) + size % 1.0 * 60.0:.8f}{side[0]}",
+]
+
+
+@pytest.mark.parametrize("name", HEMISPHERES)
+@pytest.mark.parametrize("cell", CELLS)
+def test_hemispheres_in_the_cells_are_read(
+    tmp_path: Path, name: str, cell: Callable[[float, str], str]
+) -> None:
+    north, east, *letters = HEMISPHERES[name]
+    lines = ["time,lat,lon,heading_deg,n_left_rps,n_right_rps"]
+    for k in range(200):
+        lat, lon = abs(north * 41.5 + 1e-5 * k), abs(east * 70.6 + 2e-5 * k)
+        place = f"{cell(lat, letters[0])},{cell(lon, letters[1])}"
+        lines.append(f"{0.2 * k:.1f},{place},{60 + k % 5},5,{k % 7}")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    log = Log.read(path)
+    assert log.datum is not None
+    place = log.datum.latitude, log.datum.longitude
+    assert place == pytest.approx((north * 41.5, east * 70.6), abs=1e-8)
+    assert log.z[-1, 0] > 200.0 and log.z[-1, 1] > 300.0
+
+
 @pytest.mark.parametrize("name", HEMISPHERES)
 @pytest.mark.parametrize("unsigned", [True, False])
 def test_columns_of_hemispheres_are_read(tmp_path: Path, name: str, unsigned: bool) -> None:
@@ -276,6 +307,9 @@ def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: ran
 UNKNOWN = {
     "heading 511": ("heading_deg", "511.0"),
     "heading 999": ("heading_deg", "999"),
+    "heading 655.35": ("heading_deg", "655.35"),
+    "course -1": ("cog", "-1"),
+    "speed 655.35": ("sog_kn", "655.35"),
     "speed 102.3": ("sog_kn", "102.3"),
     "course 360": ("cog", "360.0"),
     "speed -999": ("sog_kn", "-999"),

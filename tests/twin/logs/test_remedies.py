@@ -68,12 +68,6 @@ def test_unix_times_keep_their_date(tmp_path: Path, unit: str, scale: float) -> 
     assert abs(dates[0] - np.datetime64("2024-04-23T15:30:52.25")) < np.timedelta64(1, "ms")
 
 
-def test_days_of_a_spreadsheet_are_no_unix_times(tmp_path: Path) -> None:
-    times = [f"{45405.5 + 0.5 * k / 86400.0:.9f}" for k in range(150)]
-    log = mapped(write(tmp_path / "a.csv", [HEAD, *rows(times)]))
-    assert log.datum is not None and log.datum.epoch is None
-
-
 def test_whole_seconds_are_one_finding(tmp_path: Path) -> None:
     times = [f"{START + timedelta(seconds=k // 5):%Y-%m-%d %H:%M:%S}" for k in range(300)]
     path = write(tmp_path / "a.csv", [HEAD, *rows(times)])

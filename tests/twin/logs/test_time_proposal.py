@@ -149,6 +149,33 @@ def test_a_date_beside_a_time_is_one_in_any_language(tmp_path: Path, names: str,
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH, abs=0.01)
 
 
+def test_zones_that_are_unknown_or_contradict_are_asked(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "Time (ABC)", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
+    assert any("ABC: a zone?" in text for text in propose(path).questions)
+    path = write(tmp_path / "a.csv", "Time (CEST)", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
+    said = propose(path, "", "-05:00").text("a.csv")
+    assert "-05:00 is taken, as asked" in said and 'zone = "-05:00"' in said
+
+
+@pytest.mark.parametrize("order", [slice(None, None, -1), np.r_[2, 1, 0, 5, 4, 3, 6:60]])
+def test_rows_out_of_order_keep_their_time_column(tmp_path: Path, order: slice) -> None:
+    path = write(tmp_path / "a.csv", "time", lambda t: f"{(t - START).total_seconds():.1f}")
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *np.array(rows[:60])[order]]) + "\n")
+    assert 't_s = "time"' in propose(path).text("a.csv")
+
+
+@pytest.mark.parametrize("head", ["utc,millis", "Datetime,uptime_ms"])
+def test_a_count_beside_a_date_in_minutes_is_the_finer_clock(tmp_path: Path, head: str) -> None:
+    path = write(
+        tmp_path / "a.csv",
+        head,
+        lambda t: f"{t:%Y-%m-%d %H:%M},{1e3 * (t - START).total_seconds():.0f}",
+    )
+    said = propose(path).text("a.csv")
+    assert 'unit = "ms"' in said and "no format" not in said
+
+
 def test_unknown_dates_and_surplus_commas_are_said(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%H hours %M:%S}")
     assert any("no format of date and time that is known" in q for q in propose(path).questions)

@@ -116,6 +116,8 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
         more = "scale = 0.02, offset = -30.0"
         put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
     elif "rpm" in words or most > 150.0:
+        if "rpm" not in words:
+            found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")
         put(columns, found, target, name, "rpm", why="" if "rpm" in words else "by its size")
     else:
         put(columns, found, target, name, why="rev/s, or any unit: as in the particulars")
@@ -132,6 +134,9 @@ def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
         put(columns, found, target, name, "", more, why)
         return
     most = float(np.abs(values).max(initial=0.0))
-    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
+    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "")
+    if not unit:
+        unit = "rad"
+        found.questions.append(f"{name}: deg or rad? rad is taken, for it is within {most:.2g}")
     why = "above 0 must turn to starboard"
     put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

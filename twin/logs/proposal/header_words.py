@@ -19,12 +19,15 @@ __all__ = [
     "words_of",
 ]
 
-SIDES = {"left": r"left|port|ps|l|1", "right": r"right|starboard|stbd|sb|r|2"}
+SIDES = {
+    "left": r"left|port|ps|l|1|backbord|babord|babor|links",
+    "right": r"right|starboard|stbd|sb|r|2|steuerbord|tribord|estribor|rechts",
+}
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
-SHAFT = r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|engine|revs"
+SHAFT = r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|engine|revs|gas|gaz"
 
-STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm"
+STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm|lenkung|ruder|barre|timon"
 
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
@@ -46,7 +49,7 @@ NAMES = {
     "gyro_x": r"p|gx|gyrx|gyrox|rollrate|rollspeed",
     "gyro_y": r"q|gy|gyry|gyroy|pitchrate|pitchspeed",
     "roll": r"roll|phi|heel",
-    "pitch": r"pitch|theta",
+    "pitch": r"pitch|theta|trim",
     "height": r"alt|altitude|height|msl|elevation",
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
@@ -74,6 +77,8 @@ UNIT_WORDS = {
     "us": r"us|usec|micros",
     "ns": r"ns|nsec",
     "g": r"g",
+    "ft": r"ft|feet",
+    "ftps": r"ftps|fps",
 }
 
 
@@ -138,8 +143,8 @@ def is_shaft(name: str) -> bool:
 def is_side(name: str) -> bool:
     """Return whether a name is the word of a side, and nothing else but a unit."""
     words = words_of(name)
-    whole = r"left|port|right|starboard|stbd"
-    return bool(words) and bool(re.fullmatch(whole, words[0])) and len(words) <= 2
+    first = next(iter(words), "") if len(words) <= 2 else ""
+    return len(first) > 3 and any(re.fullmatch(each, first) for each in SIDES.values())
 
 
 def sides_of(names: Sequence[str]) -> tuple[str, str] | None:

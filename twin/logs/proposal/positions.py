@@ -11,9 +11,9 @@ from twin.channels import MEASUREMENTS
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import Plane, from_minutes, in_minutes
-from twin.logs.files import hemispheres, number_of
+from twin.logs.files import hemispheres
 from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
-from twin.logs.proposal.header_words import NAMES, is_shaft, means, sides_of, unit_of
+from twin.logs.proposal.header_words import is_shaft, sides_of, unit_of
 from twin.logs.proposal.sheet import (
     Columns,
     Proposal,
@@ -34,7 +34,6 @@ def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[A
     latitude, longitude = pick(columns, "latitude"), pick(columns, "longitude")
     if latitude is not None and longitude is not None:
         return place_degrees(columns, found, t, (latitude, longitude))
-    _ask_texts(columns, found)
     north, east = pick(columns, "north"), pick(columns, "east")
     if all(name in columns.left and name in columns.numbers for name in MEASUREMENTS[:2]):
         north, east = MEASUREMENTS[:2]
@@ -48,19 +47,6 @@ def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[A
     put(columns, found, "gps_x_m", north, why="north?")
     put(columns, found, "gps_y_m", east, why="east?")
     return None if t is None else clean(t, fix)
-
-
-def _ask_texts(columns: Columns, found: Proposal) -> None:
-    """Name latitudes and longitudes that are texts."""
-    for name in columns.left:
-        if name in columns.numbers or not any(
-            means(name, NAMES[meaning]) for meaning in ("latitude", "longitude")
-        ):
-            continue
-        cell = next((cell for cell in columns.text[name] if number_of(cell) is None), None)
-        if cell is not None:
-            side = "south" if means(name, NAMES["latitude"]) else "west"
-            found.questions.append(f"{name}: {cell!r} is no number; write degrees, {side} below 0")
 
 
 def place_degrees(
@@ -84,7 +70,8 @@ def place_degrees(
         columns.numbers[name] if side is None else np.abs(columns.numbers[name]) * side[1]
         for name, side in zip(names, sides, strict=True)
     )
-    most = [float(np.abs(known(each)).max(initial=0.0)) for each in (lat, lon)]
+    # most of them: a receiver without a fix says 91 and 181 degrees
+    most = [float(np.quantile(np.append(0.0, np.abs(known(each))), 0.75)) for each in (lat, lon)]
     if most[0] > 1e6 and most[1] <= 1.8e9:
         lat, lon = 1e-7 * lat, 1e-7 * lon
         most = [1e-7 * each for each in most]
@@ -137,7 +124,7 @@ def _hemisphere(columns: Columns, letters: str) -> tuple[str, Array] | None:
 
 def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     """Return times and metres north and east of the first fix, of degrees."""
-    first = (lat != 0.0) & np.isfinite(lat) & np.isfinite(lon)
+    first = (lat != 0.0) & (np.abs(lat) <= 90.0) & np.isfinite(lon)
     if not first.any():
         return None
     plane = Plane(float(lat[first][0]), float(lon[first][0]))

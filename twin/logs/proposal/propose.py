@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
-from twin.logs.proposal.agreement import Agreement, gyro_on_compass, velocity_on_fixes
+from twin.logs.errors import LogError
+from twin.logs.log import read_table
+from twin.logs.proposal.agreement import (
+    Agreement,
+    gyro_on_compass,
+    heading_on_track,
+    velocity_on_fixes,
+)
 from twin.logs.proposal.commands import find_commands, find_pulses
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
@@ -28,6 +36,7 @@ from twin.logs.proposal.sheet import (
     read_columns,
 )
 from twin.logs.proposal.time_columns import find_time
+from twin.logs.rosbag import is_bag
 
 __all__ = [
     "Proposal",
@@ -62,6 +71,9 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
         Where the file cannot be read.
     """
     path = Path(path)
+    if is_bag(path) or is_autopilot_log(path):
+        read_table(path)
+        raise LogError(f"{path}: is read as it is, or by the mapping that it has")
     columns = read_columns(path)
     found = Proposal()
     t = _time(columns, found, (order, zone))
@@ -80,8 +92,6 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
         heading = None if t is None else clean(t, own["compass_rad"])
     if "gyro_radps" not in own:
         _gyro(columns, found, t, heading)
-        if heading is None:
-            _gyro_by_size(columns, found)
     _plain(columns, found)
     find_commands(columns, found, own)
     find_pulses(columns, found)
@@ -89,13 +99,9 @@ def propose(path: str | Path, order: str = "", zone: str = "") -> Proposal:
     plain = [name for name in columns.left if name in columns.numbers]
     for names, why in ((plain, ""), (text, " (empty, or no numbers)")):
         if names:
-            found.questions.append(f"left out{why}: {', '.join(map(_shown, names))}")
+            shown = ", ".join(name.strip() or repr(name) for name in names)
+            found.questions.append(f"left out{why}: {shown}")
     return found
-
-
-def _shown(name: str) -> str:
-    """Return a column's name, in quotes where it is empty."""
-    return name.strip() or repr(name)
 
 
 def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array | None:
@@ -114,8 +120,7 @@ def _time(columns: Columns, found: Proposal, answers: tuple[str, str]) -> Array 
         one, other = (json.dumps(name, ensure_ascii=False) for name in (date[0], clock))
         line = line.replace(f"from = {other}", f"from = [{one}, {other}]")
     add_line(found, "columns", line)
-    wild = np.zeros(0) if time.seconds is None else wild_stamps(time.seconds)
-    if time.seconds is None or not wild.any():
+    if time.seconds is None or not (wild := wild_stamps(time.seconds)).any():
         return time.seconds
     row = int(np.argmax(wild))
     found.questions.append(
@@ -228,11 +233,18 @@ def _heading(
     if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
         values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
     unit = angle_unit(name, values)
+    if unit == "deg" and not unit_of(name, ("deg",)) and t is not None and fix is not None:
+        fits = [heading_on_track(fix, clean(t, k * values)) for k in (1.0, math.pi / 180.0)]
+        radians, degrees = (0.0 if f is None else max(f.coherence, f.mirrored) for f in fits)
+        if radians > degrees + 0.3:
+            unit, why = "rad", "turns are counted on, as the track says"
     values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
     heading = None if t is None else clean(t, values)
     east = False if heading is None or fix is None else is_from_east(fix, heading)
     if east is None:
-        found.questions.append(f"{name}: turns against the track; check its sign")
+        found.questions.append(
+            f"{name}: turns against the track; check its sign, or that of latitude or longitude"
+        )
     elif east and heading is not None:
         more = f"{more}, " * bool(more) + 'frame = "enu"'
         why = "it counts from east, as the track says"
@@ -272,22 +284,13 @@ def _gyro(
             more, why = "scale = -1.0", "it turns against the heading"
     elif best is not None:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    if heading is None and not unit:
+        if float(np.quantile(np.abs(known(columns.numbers[name])), 0.99)) > _FASTEST:
+            unit, why = "degps", "by its size"
+        else:
+            found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
     given = "" if unit in ("", "radps") else unit
     put(columns, found, "gyro_radps", name, given, more, why)
-
-
-def _gyro_by_size(columns: Columns, found: Proposal) -> None:
-    """Tell the unit of a yaw rate by its size, where there is no heading and no unit."""
-    lines = found.lines.get("columns", [])
-    line = next((text for text in lines if text.startswith('gyro_radps = "')), "")
-    if not line:
-        return
-    name = json.loads(line.removeprefix("gyro_radps = "))
-    most = float(np.quantile(np.abs(known(columns.numbers[name])), 0.99))
-    if most > _FASTEST:
-        lines[lines.index(line)] = entry("gyro_radps", name, "degps", why="by its size")
-    elif not unit_of(name, ("radps",)):
-        found.questions.append(f"{name}: deg/s or rad/s? rad/s is taken")
 
 
 _NAMED = (
@@ -295,15 +298,18 @@ _NAMED = (
     ("gyro_y_radps", "gyro_y", ("degps",)),
     ("accel_x_mps2", "accel_x", ("g",)),
     ("accel_y_mps2", "accel_y", ("g",)),
-    ("wind_mps", "wind_speed", ("kn", "kmph")),
-    ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
+    ("accel_z_mps2", "accel_z", ("g",)),
+    ("wind_mps", "wind_speed", ("kn", "kmph", "mps")),
+    ("apparent_wind_mps", "apparent_speed", ("kn", "kmph", "mps")),
+    ("gps_z_m", "height", ("ft",)),
+    ("gps_vz_mps", "climb", ("kn", "ftps")),
 )
 """Columns whose unit is in the name, if it is not that of the log: meaning, and those units."""
 
 
 def _has_unit(found: Proposal, target: str, unit: str) -> bool:
     """Return whether a column that was found has a unit."""
-    lines = found.lines.get("columns", [])
+    lines = [*found.lines.get("columns", []), *found.lines.get("velocity", [])]
     return any(line.startswith(f"{target} =") and f'unit = "{unit}"' in line for line in lines)
 
 
@@ -318,22 +324,25 @@ def _plain(columns: Columns, found: Proposal) -> None:
                 unit = "deg" if _has_unit(found, "compass_rad", "deg") else "rad"
                 found.questions.append(f"{name}: deg or rad? {unit} is taken, as of the heading")
             put(columns, found, target, name, "deg" * (unit == "deg"))
+    vertical = pick(columns, "accel_z")
+    force = 0.0 if vertical is None else float(np.median(known(columns.numbers[vertical])))
     for target, meaning, units in _NAMED:
         name = pick(columns, meaning)
-        if name is not None:
-            unit = unit_of(name, units)
-            if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
-                unit = "degps" * _has_unit(found, "gyro_radps", "degps")
-            put(columns, found, target, name, unit)
-    name = pick(columns, "accel_z")
-    if name is not None:
-        up = float(np.median(known(columns.numbers[name]))) > 0.0
-        more, why = ("scale = -1.0", "it points up") if up else ("", "")
-        put(columns, found, "accel_z_mps2", name, unit_of(name, ("g",)), more, why)
-    for target, meaning in (("gps_z_m", "height"), ("gps_vz_mps", "climb")):
-        name = pick(columns, meaning)
-        if name is not None:
-            put(columns, found, target, name, "", "scale = -1.0", "down is above 0")
+        if name is None:
+            continue
+        unit, more, why = unit_of(name, units), "", ""
+        if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
+            unit = "degps" * _has_unit(found, "gyro_radps", "degps")
+        elif not unit and meaning in ("wind_speed", "apparent_speed"):
+            unit = "kn" if _has_unit(found, "speed", "kn") else "mps"
+            found.questions.append(f"{name}: m/s or knots? {unit} is taken, as of the boat's speed")
+        elif meaning.startswith("accel"):
+            unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
+            if name == vertical and force > 0.0:
+                more, why = "scale = -1.0", "it points up"
+        elif meaning in ("height", "climb"):
+            more, why = "scale = -1.0", "down is above 0"
+        put(columns, found, target, name, unit.removeprefix("mps"), more, why)
     for target, meaning in (
         ("wind_from_rad", "wind_from"),
         ("apparent_wind_rad", "apparent_from"),

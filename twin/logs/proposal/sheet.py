@@ -12,7 +12,7 @@ import numpy as np
 from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
-from twin.logs.files import number_of, twice_said, units_line
+from twin.logs.files import hemispheres, number_of, twice_said, units_line
 from twin.logs.parquet import column_file
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
 
@@ -65,6 +65,9 @@ def read_columns(path: Path) -> Columns:
     for name, cells in text.items():
         filled = sum(cell.strip() not in EMPTY for cell in cells)
         values = np.array([number_of(cell) for cell in cells], dtype=np.float64)
+        degrees = filled > np.isfinite(values).sum() and re.search(r"\d", "".join(cells))
+        if degrees and (angles := hemispheres(cells)):
+            values = np.array(angles, dtype=np.float64)
         if filled and np.isfinite(values).sum() > 9 * filled // 10:
             numbers[name] = values
     if len(numbers) > 1 and (units := units_line(text)):
@@ -75,35 +78,42 @@ def read_columns(path: Path) -> Columns:
     return Columns(text, numbers, list(text), twice, marks)
 
 
-_MARKS = (360.0, 511.0, 999.0, 9999.0, 65535.0, 102.3, 1023.0, -1.0, -999.0, -9999.0)
-"""What AIS, NMEA 2000, MAVLink and loggers write for an angle or a speed that is not known."""
-
 _PULSES_US = 800.0, 2200.0
 """Pulse widths that servos and motor controllers take."""
+
+_RARE = 0.01
+"""Numbers that stand for none come in a larger share of the rows; of AIS, those of a speed in any,
+and other commands than pulses lie among them."""
 
 
 def _marks(name: str, values: Array) -> list[float]:
     """Return the numbers of an angle, a speed or a command that are no values."""
     seen = values[np.isfinite(values)]
     pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
-    none = np.isin(seen, (0.0, 65535.0))
-    if len(pulses) and none.any() and len(pulses) + none.sum() == len(seen):
-        return np.unique(seen[none]).tolist()
-    known = seen[~np.isin(seen, _MARKS)]
-    if not any(means(name, NAMES[word]) for word in ("heading", "course", "speed")) or not len(
-        known
-    ):
+    none = (seen < _PULSES_US[0]) | (seen > _PULSES_US[1])
+    if none.any() and (np.isin(seen[none], (0.0, 65535.0)).all() or none.mean() < _RARE):
+        return np.unique(seen[none]).tolist() if len(pulses) else []
+    angle = any(means(name, NAMES[word]) for word in ("heading", "course"))
+    if not angle and not means(name, NAMES["speed"]):
         return []
-    found = []
-    for mark in {*_MARKS} & {*seen.tolist()}:
-        rows = np.flatnonzero(seen == mark)
-        beside = seen[np.concatenate([rows - 1, rows + 1]).clip(0, len(seen) - 1)]
-        beside = beside[~np.isin(beside, _MARKS)]
-        beyond = max(known.min() - mark, mark - known.max())
-        # a heading or course of 360 may be north: not beside other courses
-        north = np.abs(np.remainder(beside + 180.0, 360.0) - 180.0) < 30.0
-        if beyond > np.ptp(known) or (beyond > 0.0 and mark >= 360.0 and north.mean() < 0.5):
-            found.append(mark)
+    found: list[float] = []
+    while len(np.unique(seen)) > 2:
+        low, *_, high = np.unique(seen)
+        for mark in (low, high):
+            others = seen[seen != mark]
+            beyond = max(others.min() - mark, mark - others.max())
+            edge = np.diff((seen == mark).astype(np.int8)) != 0
+            # 360, 361 or -1 may be a course beside others to the north
+            apart = np.abs(np.remainder(np.diff(seen)[edge] + 180.0, 360.0) - 180.0) > 30.0
+            turned = angle and (mark < 0.0 <= others.min() or mark >= 360.0 >= others.max())
+            often = mark in (102.3, 1023.0) or len(others) < (1.0 - _RARE) * len(seen)
+            far = beyond > np.ptp(others) and often
+            if far or (not angle and mark < 0.0 <= others.min()) or (turned and apart.mean() > 0.5):
+                found.append(float(mark))
+                seen = others
+                break
+        else:
+            break
     return sorted(found)
 
 
@@ -151,6 +161,7 @@ def put(
     if name in columns.marks:
         numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
         more = f"{more}, " * bool(more) + f"empty = [{numbers}]"
+        found.questions.append(f"{name}: {numbers} is far from all others, and taken as no value")
     add_line(found, table, entry(target, columns.take(name), unit, more, why))
 
 

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from twin.logs.dates import (
 )
 from twin.logs.files import number_of
 from twin.logs.proposal.header_words import NAMES, means, unit_of
+from twin.logs.proposal.sheet import Proposal
 
 __all__ = ["TimeColumns", "find_time"]
 
@@ -46,13 +47,10 @@ _WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 _AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
 """How far a clock is ahead of UTC, in the name of its column."""
 
-_MOSTLY = 0.9
-"""A column of the name of a time is one where this share of its steps rises."""
-
 
 @dataclass
-class TimeColumns:
-    """Where the time is, and how to read it.
+class TimeColumns(Proposal):
+    """Where the time is, and how to read it, and what is open.
 
     Parameters
     ----------
@@ -62,12 +60,6 @@ class TimeColumns:
         Unit, other keys and comment of its line in the mapping.
     seconds : ndarray, shape (N,)
         The time, s.
-    questions : list of str
-        What the values leave open.
-    choices : list of DateFormat
-        Two formats, where day and month are open.
-    zone : str
-        The name of a zone, where it means several.
     """
 
     names: tuple[str, ...] = ()
@@ -75,9 +67,6 @@ class TimeColumns:
     more: str = ""
     why: str = ""
     seconds: Array | None = None
-    questions: list[str] = field(default_factory=list)
-    choices: list[DateFormat] = field(default_factory=list)
-    zone: str = ""
 
 
 def find_time(
@@ -97,7 +86,11 @@ def find_time(
         Order of day and month, and zone; empty where they are not stated.
     """
     found = TimeColumns()
-    named = [name for name in left if means(name, NAMES["time"])]
+    counts = [n for n in left if n in numbers and unit_of(n, ("ms", "us", "ns"))]
+    counts = [name for name in counts if _is_clock(numbers[name])]
+    named = [name for name in left if means(name, NAMES["time"]) or name in counts]
+    fine = [numbers[name] for name in named if name in numbers]
+    coarse = set[str]()
     for names in _clocks(text, numbers, left, named):
         cells = [cell.strip() for cell in text[names[-1]]]
         if names[-1] in numbers:
@@ -105,10 +98,11 @@ def find_time(
         if len(names) == 2:
             cells = joined(text[names[0]], cells)
         formats = date_formats(cells)
-        if formats and not _is_coarse(cells, [numbers[n] for n in named if n in numbers]):
+        if formats and not _is_coarse(cells, fine):
             return _dated(found, names, cells, formats, answers)
+        coarse |= {*names} if formats else set()
     for name in named:
-        if name not in numbers and (cell := _first(text, name)):
+        if name not in numbers and name not in coarse and (cell := _first(text, name)):
             found.questions.append(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
                 'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
@@ -199,9 +193,16 @@ def _dated(
         zone = ""
     else:
         in_head, name = ("", name) if name else _zone_of(title)
-        zone = zone or in_head or ZONES.get(name, "")
+        in_head = in_head or ZONES.get(name, "")
+        if zone and in_head and zone != in_head:
+            found.questions.append(f"{title}: {zone} is taken, as asked, though its name says else")
+            name = ""
+        zone = zone or in_head
         found.why = f"{name} is {zone}" if name else ""
-        if not zone and name:
+        if not zone and name and not formats[0].zone and name not in MEANINGS:
+            found.questions.append(f"{title}: {name}: a zone? UTC is taken; else state it: --zone")
+            found.why = "dates without a zone count as UTC"
+        elif not zone and name:
             found.zone = name
             found.questions.append(
                 f"{title}: {example!r}: {name} is the name of several zones: how far ahead of UTC?"
@@ -222,7 +223,8 @@ def _zone_of(title: str) -> tuple[str, str]:
     if ahead is not None:
         return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
     words = re.findall(r"\b[A-Z]{3,4}\b", title)
-    return "", next((word for word in words if word in {**ZONES, **MEANINGS}), "")
+    unknown = "".join(re.findall(r"[(\[]([A-Z]{3,5})[)\]]", title)[:1])
+    return "", next((word for word in words if word in {**ZONES, **MEANINGS}), unknown)
 
 
 def _whole(found: TimeColumns, title: str, seconds: Array, filled: Array) -> Array:
@@ -240,8 +242,9 @@ def _counted(
     there = [name for name in left if name in numbers]
     rising = [name for name in there if (np.diff(_known(numbers[name])) >= 0.0).all()]
     if not set(rising) & set(named):  # a clock may be set, and rows be out of order
-        steps = {name: np.diff(_known(numbers[name])) for name in there if name in named}
-        rising += [name for name, each in steps.items() if np.mean(each > 0.0) > _MOSTLY]
+        known = {name: _known(numbers[name]) for name in there if name in named}
+        unlike = {n: max(len(np.unique(e)), (np.diff(e) > 0.0).sum()) for n, e in known.items()}
+        rising += [name for name, count in unlike.items() if 2 * count > len(known[name])]
     if not set(rising) & set(named):
         rising = [name for name in rising[:1] if _is_clock(numbers[name])]
         found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]

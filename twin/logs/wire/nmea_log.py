@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,11 +13,10 @@ import numpy as np
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
-from twin.logs.files import cannot_be_read
+from twin.logs.files import opened
 from twin.logs.kinds import is_nmea
 from twin.logs.mapping import Layout
 from twin.logs.readers import MAX_ROWS, Table, date_of, name_of, said, thinned, too_long
-from twin.logs.wire.feed import Message
 from twin.logs.wire.nmea import DAY, NmeaFeed
 from twin.particulars import Particulars
 
@@ -32,24 +32,36 @@ _ANY = Particulars(name="", length=2.0, beam=1.0, draft=0.2, mass=100.0, speed=1
 def is_nmea_log(path: Path) -> bool:
     """Return whether most lines at the start of a file are sentences."""
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             return is_nmea(file.read(4096))
-    except OSError:
+    except LogError:
         return False  # said by those who read it
 
 
-def _times(path: Path, lines: Sequence[bytes]) -> Array:
-    """Return the time of each line, s: of those that state none, evenly between those that do."""
-    feed, stamps = NmeaFeed(None, _ANY), np.full(len(lines), np.nan)
+def _times(path: Path, lines: Sequence[bytes]) -> tuple[int, Array]:
+    """Return the first line with a time, and the times from there, s; between them, even steps.
+
+    A receiver without a fix may not know the time: it counts where it has none else.
+    """
+    feed, stamps = NmeaFeed(None, _ANY), np.full((2, len(lines)), np.nan)
+    unread = Counter[str]()
     for k, line in enumerate(lines):
         for item in feed.decode(line):
-            if isinstance(item, Message) and item.stamp is not None:
-                stamps[k] = item.stamp
-    known = np.flatnonzero(np.isfinite(stamps))
+            if isinstance(item, str):
+                unread[item] += 1
+            elif item.stamp is not None:
+                stamps[int(item.void), k] = item.stamp
+    known = np.flatnonzero(np.isfinite(stamps[0]))
     if not len(known):
-        raise LogError(f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA)")
-    times = np.unwrap(stamps[known], period=DAY)
-    return np.interp(np.arange(len(lines)), known, np.maximum.accumulate(times))
+        known, stamps = np.flatnonzero(np.isfinite(stamps[1])), stamps[1:]
+    if not len(known):
+        came = ", ".join(f"{count} {name}" for name, count in unread.items())
+        raise LogError(
+            f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA); of {len(lines)} lines "
+            f"{came or '0'} (broken: without a checksum, or with a wrong one)"
+        )
+    times = np.maximum.accumulate(np.unwrap(stamps[0, known], period=DAY))
+    return int(known[0]), np.interp(np.arange(known[0], len(lines)), known, times)
 
 
 def read_nmea_log(path: Path, layout: Layout | None) -> Table:
@@ -64,15 +76,16 @@ def read_nmea_log(path: Path, layout: Layout | None) -> Table:
                 f"{layout.source}: {entry.names[0]}: the sentences of an NMEA log are known; give "
                 "constants alone, such as n_rps = 0.0"
             )
-    try:
-        lines = [line + b"\r\n" for line in path.read_bytes().splitlines() if line.strip()]
-    except OSError as error:
-        raise cannot_be_read(path, error) from None
-    times = _times(path, lines)
+    with opened(path) as file:
+        text = file.read()
+    # from the sentence or its TAG block on: loggers put the time of arrival before it
+    found = (re.search(rb"[$!\\].*", line) for line in text.splitlines() if line.strip())
+    lines = [b"?\r\n" if each is None else each[0].strip() + b"\r\n" for each in found]
+    before, times = _times(path, lines)
     now = float(times[0])
     feed = NmeaFeed(None, _ANY, clock=lambda: now)
     rows = []
-    for line, now in zip(lines, times.tolist(), strict=True):
+    for line, now in zip(lines[before:], times.tolist(), strict=True):
         feed.receive(line, now)
         rows += feed.take()
         if len(rows) > MAX_ROWS:
@@ -87,9 +100,10 @@ def read_nmea_log(path: Path, layout: Layout | None) -> Table:
     seen = np.isfinite(z).any(axis=0)
     data |= {name: z[:, k] for k, name in enumerate(MEASUREMENTS) if seen[k]}
     for entry in layout.entries:
-        data |= {key: np.full(len(t), value) for key, value in entry.columns([]).items()}
+        data = {**{k: np.full(len(t), v) for k, v in entry.columns([]).items()}, **data}
     notes = [note for note in feed.notes if "taken as" not in note]
     notes.append(", ".join(f"{name} {count}" for name, count in feed.counts.items() if count))
+    notes += [f"{before} line(s) before the first that tells the time left out"] * (before > 0)
     epoch, day = None, _RMC.search(b"".join(lines))
     if day is not None:
         midnight = datetime.strptime(day[1].decode(), "%d%m%y").replace(tzinfo=UTC).timestamp()
