@@ -94,6 +94,9 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
+STEPS_MIN = 3.0
+"""No fewer steps decide: a motion sensor at fault spoils one or two before it is left out."""
+
 DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
 
@@ -386,7 +389,7 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
                 more = by_all[h] - by_all[force]
                 if h == UNKNOWN and not has_gps:
                     more = by_yaw[h] - by_yaw[force]
-                more = min(more, DECIDED) - DRIFT
+                more = min(more, DECIDED / STEPS_MIN) - DRIFT
                 drives.evidence[h] = max(drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
