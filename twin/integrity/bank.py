@@ -112,6 +112,9 @@ INNOVATION_MAX = 6.0
 SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
 
+RETURN_S = 2.0
+"""What was left out is used again after it has been sound for so long."""
+
 LEARN_S = 60.0
 """Time constant with which levels, and the motion of the boat, are learned ..."""
 

@@ -21,6 +21,7 @@ from twin.integrity.bank import (
     NO_VELOCITY,
     PSI,
     PUSH,
+    RETURN_S,
     ROWS_MISSING,
     SENSED,
     SILENT_S,
@@ -41,7 +42,7 @@ from twin.integrity.commands import (
     most_evidence,
     watch_commands,
 )
-from twin.integrity.decision import DECIDE_S, RETURN_S, decide
+from twin.integrity.decision import DECIDE_S, decide
 from twin.integrity.screening import PARTS, find_frozen, screen
 from twin.integrity.state import (
     ABSENT,
