@@ -112,7 +112,7 @@ MODEL_ERROR = 0.25
 UNKNOWN_SD = 0.7
 """Standard deviation of the drive that unknown commands make, in nominal ones."""
 
-MEMORY_STEPS = 100.0
+MEMORY_STEPS = 150.0
 """Steps over which coefficients and residuals are learned (forgetting factor)."""
 
 RESIDUAL_SD_MIN = 0.009
