@@ -154,13 +154,12 @@ DRIVES = np.dtype(
         ("gained", "f8", 2),  # integrals of the specific forces over the step, m/s ...
         ("gained_s", "f8"),  # ... and the time that they were measured, s
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
-        ("offset", "f8", 2),  # what the forces are more than the commands make in a step
-        ("force_var", "f8", 2),  # variance of that
+        ("force_var", "f8", 2),  # variance of the forces less those by the commands
         ("push", "f8", 2),  # what the commands made in the last step, forward and to starboard
         ("excess", "f8", 2),  # what the accelerometers measured more
         ("length", "f8"),  # how long it was, s
         ("said", "f8"),  # 1 where these are new
-        ("learned", "f8"),  # time over which offset and variance were learned, s
+        ("learned", "f8"),  # time over which the variance was learned, s
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
         ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
@@ -428,7 +427,6 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
         drives.excess[axis] = excess
         if has_gps:
             drives.learned += 0.5 * span
-            drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
     drives.length, drives.said = span, 1.0
 
@@ -478,8 +476,8 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     turned, measured = turn * span / T, drives.gained_s > 0.5 * span
     scale = span / max(drives.gained_s, 1e-9) / U
     forces = (
-        drives.gained[0] * scale + sway * turned - drives.offset[0],
-        drives.gained[1] * scale - drives.offset[1],
+        drives.gained[0] * scale + sway * turned,
+        drives.gained[1] * scale,
     )
     change = surge - drives.begin[SURGE] if has_gps else forces[0]
     changes = (yaw - drives.begin[YAW], change, forces[1])
