@@ -226,6 +226,9 @@ BANK_SETTINGS = np.dtype(
 )
 """What it is given of a boat and its instruments."""
 
+ACCELERATION_MIN = 0.05
+"""Least standard deviation of the acceleration of a boat, m/s2: small waves make as much."""
+
 GPS_DRIFT_S = 400.0
 """Time constant of the drift of a GPS."""
 
@@ -259,7 +262,7 @@ def bank_settings(particulars: Particulars) -> Array:
             2.0 * (GRAVITY * I.tilt_sd) ** 2 * I.tilt_time,
             (0.5 * turn) ** 2 * turn,
             turn**2,
-            (0.25 * U * turn) ** 2,
+            max(0.25 * U * turn, ACCELERATION_MIN) ** 2,
             L / U,
             U**2,
             I.gps_latency,
