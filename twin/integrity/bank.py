@@ -49,12 +49,12 @@ __all__ = [
     "LEFT_OUT",
     "LEVEL_MAX",
     "advance_bank",
-    "aid_ratio",
     "bank_settings",
     "begin_anew",
     "begin_at_fix",
     "convert",
     "forget_tests",
+    "window_ratio",
 ]
 
 Array = NDArray[np.float64]
@@ -471,17 +471,14 @@ def _learn_level(one, aid, span, bank):
 
 
 @inlined
-def aid_ratio(one, aid, bank):
-    """Return the largest statistic of an aid over its threshold."""
+def window_ratio(one, aid, window, bank):
+    """Return the statistic of an aid in a window over its threshold."""
     if one.seen[aid] == 0.0:
         return 0.0
-    most = 0.0
-    for i in range(WINDOWS):
-        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
-        # the first level is that of the innovations themselves
-        level = bank.level[aid, i] / bank.level[aid, 0]
-        most = max(most, (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / level)
-    return most / THRESHOLD
+    m0, m1 = one.mean[aid, window, 0], one.mean[aid, window, 1]
+    # the first level is that of the innovations themselves
+    level = bank.level[aid, window] / bank.level[aid, 0]
+    return (m0 * m0 + m1 * m1) * _samples(one, aid, window, bank) / level / THRESHOLD
 
 
 @kernel
@@ -493,7 +490,8 @@ def test_ratio(k, bank):
         if aid < SENSED:
             tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
         if tested:
-            most = max(most, aid_ratio(bank.filters[k], aid, bank))
+            for i in range(WINDOWS):
+                most = max(most, window_ratio(bank.filters[k], aid, i, bank))
     return most
 
 
