@@ -49,12 +49,12 @@ __all__ = [
     "LEFT_OUT",
     "LEVEL_MAX",
     "advance_bank",
-    "aid_ratio",
     "bank_settings",
     "begin_anew",
     "begin_at_fix",
     "convert",
     "forget_tests",
+    "window_ratio",
 ]
 
 Array = NDArray[np.float64]
@@ -111,6 +111,9 @@ INNOVATION_MAX = 6.0
 
 SILENT_S = 3.0
 """A sensor without samples for so long is absent."""
+
+RETURN_S = 2.0
+"""What was left out is used again after it has been sound for so long."""
 
 LEARN_S = 60.0
 """Time constant with which levels, and the motion of the boat, are learned ..."""
@@ -363,10 +366,11 @@ def predict(one, T, bank, given):
 
 
 @inlined
-def _innovation(one, aid, k, bank, age, rate, acceleration, given, gain):
+def _innovation(one, aid, k, bank, age, rate, acceleration, ahead, side, gain):
     """Return number k of an aid less what a filter expects ``age`` s ago, and h P h'.
 
     P h' is written to ``gain`` (8,). The row h has entries of position, velocity, heading and rate.
+    ``ahead`` and ``side`` are the antenna's arm, m north and east.
     """
     x, P, z = one.x, one.P, bank.sum
     if aid == PUSH:
@@ -381,12 +385,7 @@ def _innovation(one, aid, k, bank, age, rate, acceleration, given, gain):
         for i in range(STATES):
             gain[i] = P[i, PSI] + on_rate * P[i, G]
         return nu, gain[PSI] + on_rate * gain[G]
-    c, s = math.cos(x[PSI]), math.sin(x[PSI])
-    ahead, side = given.gps_arm[0], given.gps_arm[1]
-    if k == 0:
-        arm, turned = c * ahead - s * side, -s * ahead - c * side
-    else:
-        arm, turned = s * ahead + c * side, c * ahead - s * side
+    arm, turned = (ahead, -side) if k == 0 else (side, ahead)
     v = VN + k
     if aid == FIXES:
         p = PN + k
@@ -419,19 +418,22 @@ def _numbers(aid):
 
 
 @kernel
-def _take(one, aid, bank, age, variance, span, rate, north, east, given):
+def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given):
     """Test and correct a filter by an aid."""
     numbers, level, gain = _numbers(aid), bank.level[aid, 0], alloca_f64(STATES)
-    w0 = w1 = logarithm = 0.0
-    for k in range(numbers):
+    c, s = math.cos(one.x[PSI]), math.sin(one.x[PSI])
+    ahead = c * given.gps_arm[0] - s * given.gps_arm[1]
+    side = s * given.gps_arm[0] + c * given.gps_arm[1]
+    w0 = w1 = nu = spread = 0.0
+    growth = 1.0
+    # the first last: it is what corrects first
+    for j in range(numbers):
+        k = numbers - 1 - j
         acceleration, R = north if k == 0 else east, variance[k]
-        nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
+        nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, ahead, side, gain)
         S = (spread + R) * level
-        logarithm += math.log(S / R)
-        if k == 0:
-            w0 = nu / math.sqrt(S)
-        else:
-            w1 = nu / math.sqrt(S)
+        growth *= S / R
+        w1, w0 = w0, nu / math.sqrt(S)
     total = w0 * w0 + w1 * w1
     size = math.sqrt(total)
     share = min(1.0, INNOVATION_MAX / max(size, 1e-12))
@@ -440,13 +442,13 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, given):
         alpha = min(max(span / WINDOWS_S[i], span / one.seen[aid]), 1.0)
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
-    clipped = min(total, INNOVATION_MAX * INNOVATION_MAX)
-    one.misfit[aid] += clipped + logarithm
+    if failing:
+        one.misfit[aid] += min(total, INNOVATION_MAX * INNOVATION_MAX) + math.log(growth)
     if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled > 0.0):
-        for k in range(numbers):
-            acceleration = north if k == 0 else east
-            nu, spread = _innovation(one, aid, k, bank, age, rate, acceleration, given, gain)
-            _correct(one, gain, nu, spread + variance[k])
+        _correct(one, gain, nu, spread + variance[0])
+        if numbers > 1:
+            nu, spread = _innovation(one, aid, 1, bank, age, rate, east, ahead, side, gain)
+            _correct(one, gain, nu, spread + variance[1])
 
 
 @inlined
@@ -469,17 +471,14 @@ def _learn_level(one, aid, span, bank):
 
 
 @inlined
-def aid_ratio(one, aid, bank):
-    """Return the largest statistic of an aid over its threshold."""
+def window_ratio(one, aid, window, bank):
+    """Return the statistic of an aid in a window over its threshold."""
     if one.seen[aid] == 0.0:
         return 0.0
-    most = 0.0
-    for i in range(WINDOWS):
-        m0, m1 = one.mean[aid, i, 0], one.mean[aid, i, 1]
-        # the first level is that of the innovations themselves
-        level = bank.level[aid, i] / bank.level[aid, 0]
-        most = max(most, (m0 * m0 + m1 * m1) * _samples(one, aid, i, bank) / level)
-    return most / THRESHOLD
+    m0, m1 = one.mean[aid, window, 0], one.mean[aid, window, 1]
+    # the first level is that of the innovations themselves
+    level = bank.level[aid, window] / bank.level[aid, 0]
+    return (m0 * m0 + m1 * m1) * _samples(one, aid, window, bank) / level / THRESHOLD
 
 
 @kernel
@@ -491,7 +490,8 @@ def test_ratio(k, bank):
         if aid < SENSED:
             tested = LEFT_OUT[k, aid] == 0.0 and bank.age[aid] <= SILENT_S
         if tested:
-            most = max(most, aid_ratio(bank.filters[k], aid, bank))
+            for i in range(WINDOWS):
+                most = max(most, window_ratio(bank.filters[k], aid, i, bank))
     return most
 
 
@@ -642,7 +642,7 @@ def _cover_gap(one, row, bank, given):
 
 
 @kernel
-def _advance_filter(k, bank, given, sound):
+def _advance_filter(k, bank, given, sound, failing):
     """Predict filter k over the epoch, test it, and correct it."""
     one, T, row = bank.filters[k], bank.span, bank.row
     gyro = LEFT_OUT[k, GYRO] == 0.0 and bank.imu_age[0] < SILENT_S
@@ -672,7 +672,7 @@ def _advance_filter(k, bank, given, sound):
             variance = (bank.push_var[0], bank.push_var[1])
         span = max(bank.interval[aid], EPOCH_S) if bank.interval[aid] > 0.0 else T
         age = bank.age_sum[aid] if aid < SENSED else 0.0
-        _take(one, aid, bank, age, variance, span, rate, north, east, given)
+        _take(one, aid, bank, age, variance, span, rate, north, east, failing, given)
         if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
@@ -738,9 +738,10 @@ def _end_epoch(bank, given):
     biased = bank.filters[0].uses_accelerometers > 0.0
     for i in range(2):
         bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
-    sound = bank.force_filter == 0.0 and bank.filters[0].ratio < 1.0
+    failing = bank.filters[int(bank.force_filter)].ratio >= 1.0
+    sound = bank.force_filter == 0.0 and not failing
     for k in range(FILTERS):
-        _advance_filter(k, bank, given, sound)
+        _advance_filter(k, bank, given, sound, failing)
     _learn_motion(bank)
     _begin_epoch(bank)
 

@@ -21,14 +21,16 @@ from twin.integrity.bank import (
     NO_VELOCITY,
     PSI,
     PUSH,
+    RETURN_S,
     ROWS_MISSING,
     SENSED,
     SILENT_S,
     VE,
     VN,
+    WINDOWS,
     G,
     advance_bank,
-    aid_ratio,
+    window_ratio,
 )
 from twin.integrity.commands import (
     LEFT_DEAD,
@@ -41,7 +43,7 @@ from twin.integrity.commands import (
     most_evidence,
     watch_commands,
 )
-from twin.integrity.decision import DECIDE_S, RETURN_S, decide
+from twin.integrity.decision import DECIDE_S, decide
 from twin.integrity.screening import PARTS, find_frozen, screen
 from twin.integrity.state import (
     ABSENT,
@@ -340,12 +342,14 @@ def check_sensors(dt, z, cmd, state, ready, memory, given, out):
                 out[j] = math.nan
     memory.contradicted = 0.0
     if memory.decision.in_doubt > 0.0:
-        # what fails is not used until it is known what is wrong
+        # what fails at once is not used until it is known what is wrong
         for aid in range(SENSED):
-            if aid_ratio(bank.filters[force], aid, bank) >= 1.0:
-                memory.contradicted = 1.0
-                for j in range(PARTS[aid, 0], PARTS[aid, 1]):
-                    out[j] = math.nan
+            for window in range(WINDOWS):
+                if window_ratio(bank.filters[force], aid, window, bank) >= 1.0:
+                    memory.contradicted = 1.0
+                    for j in range(PARTS[aid, 0], PARTS[aid, 1]):
+                        # what errs slowly is too little to harm
+                        out[j] = math.nan if window == 0 else out[j]
     _set_statuses(dt, z, memory)
     h = memory.drives.hypothesis
     out_of_force = h != SOUND and h != LEFT_DEAD and h != RIGHT_DEAD

@@ -28,7 +28,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.integrity.bank import LEARN_S
+from twin.integrity.bank import LEARN_S, RETURN_S
 from twin.particulars import Particulars
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import inlined, kernel
@@ -94,6 +94,9 @@ WARM_UP_STEPS = 35.0
 DECIDED = 16.0
 """Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
 
+STEPS_MIN = 3.0
+"""No fewer steps decide: a motion sensor at fault spoils one or two before it is left out."""
+
 DRIFT = 0.5
 """What a step takes off the evidence (Page's drift)."""
 
@@ -109,11 +112,8 @@ MODEL_ERROR = 0.25
 UNKNOWN_SD = 0.7
 """Standard deviation of the drive that unknown commands make, in nominal ones."""
 
-FORGETTING_STEPS = 200.0
-"""The variances of the coefficients grow by one part in so many in a step."""
-
-RESIDUAL_STEPS = 80.0
-"""Steps over which residuals are averaged."""
+MEMORY_STEPS = 150.0
+"""Steps over which coefficients and residuals are learned (forgetting factor)."""
 
 RESIDUAL_SD_MIN = 0.009
 """Least standard deviation of the residuals, nominal units."""
@@ -123,18 +123,6 @@ RESIDUAL_MAX = 3.0
 
 SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
 """Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad."""
-
-IMPOSSIBLE_S = 2.0
-"""Commands are left out for so long after an impossible one."""
-
-KNOWN_S = 2.0
-"""After a sensor of the motion came back, the estimated motion needs so long to be right."""
-
-AGAIN_S = 60.0
-"""What has lasted for so long is a boat that has changed: it is learned anew."""
-
-DRIFT_STEPS, DRIFT_FLOOR = 50.0, 0.01
-"""Steps over which the ratio of sway to yaw rate is learned, and a floor of its denominator."""
 
 IDLE = 0.1
 """A boat lies idle below this drive, yaw rate and surge, nominal units."""
@@ -166,13 +154,12 @@ DRIVES = np.dtype(
         ("gained", "f8", 2),  # integrals of the specific forces over the step, m/s ...
         ("gained_s", "f8"),  # ... and the time that they were measured, s
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
-        ("offset", "f8", 2),  # what the forces are more than the commands make in a step
-        ("force_var", "f8", 2),  # variance of that
+        ("force_var", "f8", 2),  # variance of the forces less those by the commands
         ("push", "f8", 2),  # what the commands made in the last step, forward and to starboard
         ("excess", "f8", 2),  # what the accelerometers measured more
         ("length", "f8"),  # how long it was, s
         ("said", "f8"),  # 1 where these are new
-        ("learned", "f8"),  # time over which offset and variance were learned, s
+        ("learned", "f8"),  # time over which the variance was learned, s
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
         ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
@@ -305,8 +292,8 @@ def _learn(drives, axis, h, change, sway, given):
         for j in range(TERMS):
             P[i, j] -= gain[i] * gain[j] / left
     for i in range(TERMS):
-        P[i, i] *= 1.0 + 1.0 / FORGETTING_STEPS
-    share = 1.0 / min(max(drives.steps, 4.0), RESIDUAL_STEPS)
+        P[i, i] *= 1.0 + 1.0 / MEMORY_STEPS
+    share = 1.0 / min(max(drives.steps, 4.0), MEMORY_STEPS)
     excess = min(error * error, RESIDUAL_MAX**2 * S) - S
     variance = drives.variance[axis] + share * excess
     drives.variance[axis] = max(variance, RESIDUAL_SD_MIN**2)
@@ -386,7 +373,7 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
                 more = by_all[h] - by_all[force]
                 if h == UNKNOWN and not has_gps:
                     more = by_yaw[h] - by_yaw[force]
-                more = min(more, DECIDED) - DRIFT
+                more = min(more, DECIDED / STEPS_MIN) - DRIFT
                 drives.evidence[h] = max(drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
@@ -394,7 +381,7 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
                 strongest = h
         if drives.evidence[strongest] > DECIDED:
             _put_in_force(drives, strongest, now)
-        elif force != SOUND and now - drives.since > AGAIN_S:
+        elif force != SOUND and now - drives.since > LEARN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
     suspected = most_evidence(drives) > SUSPECT
@@ -440,7 +427,6 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
         drives.excess[axis] = excess
         if has_gps:
             drives.learned += 0.5 * span
-            drives.offset[axis] += share * excess
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
     drives.length, drives.said = span, 1.0
 
@@ -448,7 +434,7 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
 @kernel
 def _follow(drives, yaw, surge, sway, span, trained, given):
     """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
-    fade = 1.0 - 1.0 / DRIFT_STEPS
+    fade = 1.0 - 1.0 / MEMORY_STEPS
     drives.drift[0] = fade * drives.drift[0] + sway * yaw
     drives.drift[1] = fade * drives.drift[1] + yaw * yaw
     if not trained:
@@ -486,12 +472,12 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     turn = 0.5 * (yaw + drives.begin[YAW])
     if not has_gps:
         # unknown: it goes with the yaw rate
-        sway = drives.drift[0] / (drives.drift[1] + DRIFT_FLOOR) * turn
+        sway = drives.drift[0] / (drives.drift[1] + IDLE * IDLE) * turn
     turned, measured = turn * span / T, drives.gained_s > 0.5 * span
     scale = span / max(drives.gained_s, 1e-9) / U
     forces = (
-        drives.gained[0] * scale + sway * turned - drives.offset[0],
-        drives.gained[1] * scale - drives.offset[1],
+        drives.gained[0] * scale + sway * turned,
+        drives.gained[1] * scale,
     )
     change = surge - drives.begin[SURGE] if has_gps else forces[0]
     changes = (yaw - drives.begin[YAW], change, forces[1])
@@ -550,13 +536,13 @@ def watch_commands(dt, cmd, motion, force, known, doubted, has_gps, now, drives,
     """
     left, right = cmd[0] / given.shaft_speed, cmd[1] / given.shaft_speed
     possible = max(abs(left), abs(right)) < SHAFT_MAX and max(abs(cmd[2]), abs(cmd[3])) < ANGLE_MAX
-    drives.impossible = max(drives.impossible - dt, 0.0) if possible else IMPOSSIBLE_S
+    drives.impossible = max(drives.impossible - dt, 0.0) if possible else RETURN_S
     drives.known = drives.known + dt if known else 0.0
     if not possible:
         drives.span = -1.0
         return
     length = max(STEP * given.time, STEP_MIN_S)
-    if drives.known <= KNOWN_S:
+    if drives.known <= RETURN_S:
         drives.span = -1.0
     elif drives.span < 0.0:
         _begin_step(drives, motion, given)

@@ -29,9 +29,11 @@ from twin.integrity.bank import (
     NO_GYRO,
     PE,
     PN,
+    RETURN_S,
     SENSED,
     SILENT_S,
     STATES,
+    WINDOWS_S,
     begin_anew,
     begin_at_fix,
     convert,
@@ -63,20 +65,11 @@ DECIDE_S = 6.0
 LOST_S = 15.0
 """If nothing explains a failure for so long, all begins again from the sensors."""
 
-RETURN_S = 2.0
-"""What is left out is used again after filter 0 has passed for so long."""
-
 FRESH_S = 20.0
 """A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
 
 DRIFT_SD_MAX = 20.0
 """... if it says that dead reckoning is off by no more than so many standard deviations."""
-
-RESYNC_S = 5.0
-"""A filter that is not in force and fails goes on from the one in force after so long."""
-
-RENEW_S = 12.0
-"""One that passes does so after so long, and so many seconds as its place, that not all are new."""
 
 PASSES_WELL = 0.5
 """Ratio below which a filter passes with a margin: what returns must."""
@@ -233,8 +226,8 @@ def decide(bank, state, yaw_witness, given):
         return True
     for k in range(1, FILTERS):
         lasted = now - filters[k].since
-        renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > RENEW_S + k
+        renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > WINDOWS_S[-1] + k
         renew = renew and bank.age[FIXES] < SILENT_S
-        if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > RESYNC_S)):
+        if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > DECIDE_S)):
             copy_filter(filters[force], filters[k], k, now, given)
     return False

@@ -6,26 +6,23 @@ import math
 
 from twin.channels import APPARENT_FROM, APPARENT_SPEED, PSI, WIND_FROM, WIND_SPEED, U, V
 from twin.filters.navigation_state import WIND_LIMIT
+from twin.integrity.bank import LEARN_S, RETURN_S, SILENT_S
 from twin.integrity.state import ABSENT, EXCLUDED, FROZEN, NO_REASON, OK
 from usv_kernel.jit import inlined
 
 __all__ = ["check_wind"]
 
-SMOOTHING = 2.0
-"""Time constant of the wind that the model takes, s: noise and the swaying mast average out."""
+SMOOTHING_S = 2.0
+"""Time constant of the wind that the model takes: noise and the swaying mast average out."""
 
-GUST_TIME, MEAN_TIME = 10.0, 60.0
-"""While samples are missing, the wind goes back to its mean of so long (s) within so long (s)."""
+GUST_S = 10.0
+"""While samples are missing, the wind goes back to its mean within so long."""
 
-SPIKE, SPIKE_TIME = 10.0, 2.0
-"""Samples so far (m/s) from the last ones are left out, unless it lasts for longer (s)."""
+SPIKE_MPS = 10.0
+"""Samples so far from the last ones are left out, unless it lasts for longer than noise."""
 
-STUCK_TIME, RETURN_TIME = 10.0, 2.0
-"""An anemometer is stuck that says the same for so long (s); it is used again once it has changed
-for so long (s)."""
-
-SILENT_TIME = 3.0
-"""After so long without a sample it is absent, s."""
+STUCK_S = 10.0
+"""An anemometer is stuck that says the same for so long."""
 
 TURNS = 1e3
 """A direction is below, rad."""
@@ -44,7 +41,7 @@ def _is_usable(dt, speed, angle, memory):
     wind = memory.wind
     wind.silent += dt
     if not (0.0 <= speed < WIND_LIMIT and abs(angle) < TURNS):  # NaN: none
-        if wind.silent > SILENT_TIME:
+        if wind.silent > SILENT_S:
             _set(memory, ABSENT, NO_REASON)
         return False
     since, wind.silent = wind.silent, 0.0
@@ -52,13 +49,13 @@ def _is_usable(dt, speed, angle, memory):
     wind.repeated[0] = wind.repeated[0] + since if same_speed else 0.0
     wind.repeated[1] = wind.repeated[1] + since if same_angle else 0.0
     wind.last[0], wind.last[1] = speed, angle
-    stuck = max(wind.repeated[0], wind.repeated[1]) > STUCK_TIME
+    stuck = max(wind.repeated[0], wind.repeated[1]) > STUCK_S
     if stuck:
         _set(memory, EXCLUDED, FROZEN)
         wind.changing = 0.0
     elif wind.status == EXCLUDED:
         wind.changing = 0.0 if same_speed or same_angle else wind.changing + since
-        if wind.changing > RETURN_TIME:
+        if wind.changing > RETURN_S:
             _set(memory, OK, NO_REASON)
     elif wind.status == ABSENT:
         _set(memory, OK, NO_REASON)
@@ -92,11 +89,11 @@ def check_wind(dt, out, state, usable, memory, given):
         north = given.wind_gain * (ahead * c - aside * s)
         east = given.wind_gain * (ahead * s + aside * c)
         odd = wind.known > 0.0 and (
-            math.hypot(north - wind.velocity[0], east - wind.velocity[1]) > SPIKE
+            math.hypot(north - wind.velocity[0], east - wind.velocity[1]) > SPIKE_MPS
         )
-        if not odd or wind.age >= SPIKE_TIME:
-            share = 1.0 if odd or wind.known == 0.0 else 1.0 - math.exp(-wind.age / SMOOTHING)
-            wind.known = min(wind.known + min(wind.age, 1.0) + 1e-3, MEAN_TIME)
+        if not odd or wind.age >= SMOOTHING_S:
+            share = 1.0 if odd or wind.known == 0.0 else 1.0 - math.exp(-wind.age / SMOOTHING_S)
+            wind.known = min(wind.known + min(wind.age, 1.0) + 1e-3, LEARN_S)
             slow = min((min(wind.age, 1.0) + 1e-3) / wind.known, 1.0)
             wind.velocity[0] += share * (north - wind.velocity[0])
             wind.velocity[1] += share * (east - wind.velocity[1])
@@ -104,7 +101,7 @@ def check_wind(dt, out, state, usable, memory, given):
             wind.mean[1] += slow * (wind.velocity[1] - wind.mean[1])
             wind.age = 0.0
     if wind.known > 0.0:
-        left = math.exp(-wind.age / GUST_TIME)
+        left = math.exp(-wind.age / GUST_S)
         north = wind.mean[0] + left * (wind.velocity[0] - wind.mean[0])
         east = wind.mean[1] + left * (wind.velocity[1] - wind.mean[1])
         out[WIND_SPEED] = math.hypot(north, east)

@@ -11,7 +11,8 @@ import pytest
 
 from twin import Twin
 from twin.channels import APPARENT_FROM, APPARENT_SPEED, WIND_SPEED
-from twin.integrity.wind import SILENT_TIME, STUCK_TIME
+from twin.integrity.bank import SILENT_S
+from twin.integrity.wind import STUCK_S
 from twin.logs.log import Log
 from twin.predictors.ukf import ModelPredictor
 from twin.sim.bridge import particulars_of, simulate
@@ -84,7 +85,7 @@ def test_an_anemometer_at_fault_is_named(kind: str, status: str) -> None:
     found = twin.health["wind"]
     assert found.status == status and found.why.startswith("wind ")
     assert any(line.startswith(f"wind {status} from") for line in twin.notes)
-    late = STUCK_TIME if status == "excluded" else SILENT_TIME
+    late = STUCK_S if status == "excluded" else SILENT_S
     # a faulty sample comes a quarter of a second after the last good one at the latest
     assert found.since == pytest.approx(40.0 + late, abs=0.6)
 
