@@ -425,13 +425,10 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     # made of speed and course, a mark is in both
     for names, values in [*groups, (VELOCITY, np.hypot(*recording.z[:, 2:4].T).round(9))]:
         seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
-        for value in seen[count > 2]:
-            rows, others = values == value, np.repeat(seen[seen != value], count[seen != value])
+        for value in _far_and_often(seen, count):
+            rows = values == value
             long = rows.sum() > SILENT_SAMPLES * np.median(count)
-            if len(others) < ENOUGH or not (long or len(runs_of(rows)) > 2):
-                continue
-            low, high = np.quantile(others, [0.01, 0.99])
-            if max(low - value, value - high) < high - low:
+            if not (long or len(runs_of(rows)) > 2):
                 continue
             for name in names:
                 z[rows, MEASUREMENTS.index(name)] = np.nan
@@ -442,6 +439,21 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
             remedy = "leave these cells empty; here they are left out, and the rest is checked"
             found.append(Finding(ERROR, "mark", what, remedy, names[0], float(value)))
     return _without_absurd(dataclasses.replace(recording, z=z), found)
+
+
+def _far_and_often(seen: Array, count: npt.NDArray[np.intp]) -> list[float]:
+    """Return which of some sorted values come more than twice, and lie far from all others."""
+    found = []
+    for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):
+        for k in order:
+            if count[k] <= 2:
+                continue
+            others = np.cumsum(np.where(seen == seen[k], 0, count))
+            low, high = seen[np.searchsorted(others, others[-1] * np.array([0.01, 0.99]))]
+            if others[-1] < ENOUGH or max(low - seen[k], seen[k] - high) < high - low:
+                break  # nor are those farther in
+            found.append(float(seen[k]))
+    return list(dict.fromkeys(found))
 
 
 def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recording, list[Finding]]:
