@@ -43,7 +43,6 @@ from twin.integrity.rows import (
     FORCES,
     GYROS,
     MANY,
-    OPTIONAL,
     SENSORS,
     check_cells,
     check_commands,
@@ -238,14 +237,8 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
 
 
 def _sorted(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings, each once, errors first; of what a twin does without, none is an error."""
-    graded = [
-        dataclasses.replace(each, severity=WARNING)
-        if each.severity == ERROR and each.sensor in OPTIONAL
-        else each
-        for each in found
-    ]
-    return tuple(sorted(dict.fromkeys(graded), key=lambda each: SEVERITIES.index(each.severity)))
+    """Return findings, each once, errors first."""
+    return tuple(sorted(dict.fromkeys(found), key=lambda each: SEVERITIES.index(each.severity)))
 
 
 def _without(

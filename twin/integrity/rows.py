@@ -34,7 +34,6 @@ __all__ = [
     "GYROS",
     "HUGE",
     "MANY",
-    "OPTIONAL",
     "SENSORS",
     "VELOCITY",
     "check_cells",
@@ -70,8 +69,8 @@ SENSORS: dict[str, tuple[str, ...]] = {
 }
 """Sensors and the columns that come together."""
 
-OPTIONAL = {*MEASUREMENTS[WIND_SPEED:], "AHRS", "ahrs", "height", "climb", "vertical speed", "wind"}
-"""Sensors and columns that tell wind, roll, pitch and heave: a twin does without them."""
+OPTIONAL = frozenset(MEASUREMENTS[WIND_SPEED:])
+"""Columns that tell wind, roll, pitch and heave: a twin does without them."""
 
 MANY = 3 * ENOUGH
 """Fewer samples than this tell no motion."""
@@ -437,7 +436,8 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
                 f'are {value:g}, far from all others: a mark for "no value"'
             )
             remedy = "leave these cells empty; here they are left out, and the rest is checked"
-            found.append(Finding(ERROR, "mark", what, remedy, names[0], float(value)))
+            severity = WARNING if OPTIONAL.issuperset(names) else ERROR
+            found.append(Finding(severity, "mark", what, remedy, names[0], float(value)))
     return _without_absurd(dataclasses.replace(recording, z=z), found)
 
 
