@@ -252,11 +252,7 @@ def _without(
 
 
 def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
-    """Return a recording without fixes at (0, 0) or out of reach, dead and frozen columns."""
-    fix = recording.z[:, :2]
-    nothing = (fix == 0.0).all(axis=1)
-    if nothing.mean() < 0.5 and np.nanmedian(np.abs(fix)) > 1.0:
-        recording = _without(recording, FIX, nothing)
+    """Return a recording without fixes out of reach, dead and frozen columns."""
     jumps = find_jumps(recording.t, recording.z[:, :2])
     if jumps is not None:
         recording = _without(recording, FIX, jumps.lost)

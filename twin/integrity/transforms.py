@@ -54,9 +54,6 @@ ONE_SIDE_COST = 25.0
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
 
-PLAIN = 0.9
-"""A fault without a number that explains so much of what a number does is preferred."""
-
 MOST_FAULTS = 5
 """Of one log."""
 
@@ -102,11 +99,6 @@ class Hypothesis:
         error = self.scan is None if self.error is None else self.error
         needed = {*ANGLES, *HEIGHT, *CLIMB}.isdisjoint(self.changed)
         return ERROR if error and needed else WARNING
-
-    @property
-    def plain(self) -> bool:
-        """Whether it has no number."""
-        return self.scan is None and not self.alone
 
     def words(self, text: str, size: float) -> str:
         """Return a text with the number in it; angles in degrees."""
@@ -442,9 +434,6 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         if not likely:
             break
         best = max(likely, key=lambda trial: trial.score)
-        plain = [t for t in likely if t.hypothesis.plain and t.score > PLAIN * best.score]
-        if plain:
-            best = max(plain, key=lambda trial: trial.score)
         near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(Undone(best.hypothesis, best.size))
