@@ -88,9 +88,6 @@ SILENT_S, SILENT_SAMPLES, STALE_S = 2.0, 10.0, 0.5
 """A sensor is lost when it gives nothing new for so long, and for so many of its intervals; all of
 them never repeat themselves at once for longer than the last."""
 
-FINE = 0.02
-"""A sensor that repeats itself in a smaller share of its samples does so by a fault alone."""
-
 OUTLIER, LEAP_M, LEAP_RAD = 15.0, 0.1, math.radians(4.0)
 """A leap is so many times the median deviation, and at least so large."""
 
@@ -109,8 +106,8 @@ ABSURD = 4.0
 ABSURD_FROM = {"velocity": 2.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
 """Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2."""
 
-LARGE_ANGLE_RAD, SMALL_ANGLE_RAD = 1.3, 0.05
-"""Few rudders and drives turn farther than the first; below the second they do not move."""
+LARGE_ANGLE_RAD = 1.3
+"""Few rudders and drives turn farther."""
 
 SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
 """Speed over shaft speed is that of the particulars, or of a unit, within these factors."""
@@ -340,7 +337,7 @@ def _silent(
         after = size[new[k] - 1] if 0 < k < len(new) else 0.0
         others = size[~inside[1:]]
         # one that is coarse, of a boat that rests, goes on with no larger step than others
-        fault = np.mean(others == 0.0) < FINE or after > others.max(initial=0.0)
+        fault = (others > 0.0).all() or after > others.max(initial=0.0)
         if (sensor == "rows" and same) or (sensor != "rows" and (fault or not same)):
             spans.append(k)
             still |= same
@@ -522,7 +519,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
     if particulars is not None:
         unequal = (n[:, 0] != n[:, 1]).mean() > 0.5
         fixed = particulars.steering == "differential"
-        moved = float(np.ptp(delta, axis=0).max()) > SMALL_ANGLE_RAD
+        moved = bool(np.ptp(delta, axis=0).any())
         if (fixed and moved) or (not fixed and not delta.any() and unequal):
             other = "drives" if fixed else "differential"
             what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"

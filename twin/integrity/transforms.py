@@ -54,9 +54,6 @@ ONE_SIDE_COST = 25.0
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
 
-MOST_FAULTS = 5
-"""Of one log."""
-
 COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
 SHAFTS, STEERING = COMMANDS[:2], COMMANDS[2:]
 
@@ -417,7 +414,7 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
     """Return the faults that explain signals best, signals without them, and what undoes them."""
     base = log_likelihood(s)
     table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
-    while len(found) < MOST_FAULTS:
+    while True:
         trials = [_try(s, base, each) for each in table if each.scan is None]
         most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
         # what could explain no more than a fault without a number is not tried
@@ -442,7 +439,8 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
             names = best.hypothesis.changed
             s = s.having(names, math.nan * s.stacked(*names))
             base = log_likelihood(s)
-        table = [each for each in hypotheses(s) if each.what != best.hypothesis.what]
+        known = {each.hypothesis.what for each in undone}
+        table = [each for each in hypotheses(s) if each.what not in known]
     return found, s, undone
 
 
