@@ -221,7 +221,7 @@ def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesi
     return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, ONE_SIDE_COST)
 
 
-QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+QUARTER, ASKEW, SCALES = 0.5 * math.pi, _angles(10.0), _scales(0.09)
 ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
 DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
@@ -256,7 +256,7 @@ TABLE: tuple[Hypothesis, ...] = (
                _of_way, alone=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
-              _scales(0.15), error=True),
+              SCALES, error=True),
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
               _turned(VELOCITY), ASKEW),
@@ -277,7 +277,7 @@ TABLE: tuple[Hypothesis, ...] = (
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), _angles(30.0),
+              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
               error=True),
     *(Hypothesis("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
@@ -286,9 +286,9 @@ TABLE: tuple[Hypothesis, ...] = (
                                  ("first", 1, 2, "{value}, 0.0, 0.0"),
                                  ("third", 0, 1, "0.0, 0.0, {value}"))),
     Hypothesis("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
-              FORCES, _scaled(*FORCES), _scales(0.05)),
+              FORCES, _scaled(*FORCES), SCALES),
     *(Hypothesis("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
-                _scaled(name), _scales(0.15)) for name in GYROS),
+                _scaled(name), SCALES) for name in GYROS),
     Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
               f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
     Hypothesis("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
