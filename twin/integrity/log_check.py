@@ -43,7 +43,6 @@ from twin.integrity.rows import (
     FORCES,
     GYROS,
     MANY,
-    OPTIONAL,
     SENSORS,
     check_cells,
     check_commands,
@@ -238,14 +237,8 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
 
 
 def _sorted(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings, each once, errors first; of what a twin does without, none is an error."""
-    graded = [
-        dataclasses.replace(each, severity=WARNING)
-        if each.severity == ERROR and each.sensor in OPTIONAL
-        else each
-        for each in found
-    ]
-    return tuple(sorted(dict.fromkeys(graded), key=lambda each: SEVERITIES.index(each.severity)))
+    """Return findings, each once, errors first."""
+    return tuple(sorted(dict.fromkeys(found), key=lambda each: SEVERITIES.index(each.severity)))
 
 
 def _without(
@@ -259,11 +252,7 @@ def _without(
 
 
 def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
-    """Return a recording without fixes at (0, 0) or out of reach, dead and frozen columns."""
-    fix = recording.z[:, :2]
-    nothing = (fix == 0.0).all(axis=1)
-    if nothing.mean() < 0.5 and np.nanmedian(np.abs(fix)) > 1.0:
-        recording = _without(recording, FIX, nothing)
+    """Return a recording without fixes out of reach, dead and frozen columns."""
     jumps = find_jumps(recording.t, recording.z[:, :2])
     if jumps is not None:
         recording = _without(recording, FIX, jumps.lost)

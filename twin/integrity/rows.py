@@ -34,7 +34,6 @@ __all__ = [
     "GYROS",
     "HUGE",
     "MANY",
-    "OPTIONAL",
     "SENSORS",
     "VELOCITY",
     "check_cells",
@@ -70,8 +69,8 @@ SENSORS: dict[str, tuple[str, ...]] = {
 }
 """Sensors and the columns that come together."""
 
-OPTIONAL = {*MEASUREMENTS[WIND_SPEED:], "AHRS", "ahrs", "height", "climb", "vertical speed", "wind"}
-"""Sensors and columns that tell wind, roll, pitch and heave: a twin does without them."""
+OPTIONAL = frozenset(MEASUREMENTS[WIND_SPEED:])
+"""Columns that tell wind, roll, pitch and heave: a twin does without them."""
 
 MANY = 3 * ENOUGH
 """Fewer samples than this tell no motion."""
@@ -89,9 +88,6 @@ SILENT_S, SILENT_SAMPLES, STALE_S = 2.0, 10.0, 0.5
 """A sensor is lost when it gives nothing new for so long, and for so many of its intervals; all of
 them never repeat themselves at once for longer than the last."""
 
-FINE = 0.02
-"""A sensor that repeats itself in a smaller share of its samples does so by a fault alone."""
-
 OUTLIER, LEAP_M, LEAP_RAD = 15.0, 0.1, math.radians(4.0)
 """A leap is so many times the median deviation, and at least so large."""
 
@@ -107,14 +103,20 @@ SAILS_M = 20.0
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved."""
 
+<<<<<<< HEAD
 ABSURD_SHARE = 0.1
 """At most so many samples are absurd."""
 
 ABSURD_FROM = {"velocity": 2.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
 """Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2."""
+=======
+ABSURD_FROM = {"velocity": 0.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
+"""Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2; of a velocity, the fixes
+tell."""
+>>>>>>> logs
 
-LARGE_ANGLE_RAD, SMALL_ANGLE_RAD = 1.3, 0.05
-"""Few rudders and drives turn farther than the first; below the second they do not move."""
+LARGE_ANGLE_RAD = 1.3
+"""Few rudders and drives turn farther."""
 
 SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
 """Speed over shaft speed is that of the particulars, or of a unit, within these factors."""
@@ -344,7 +346,7 @@ def _silent(
         after = size[new[k] - 1] if 0 < k < len(new) else 0.0
         others = size[~inside[1:]]
         # one that is coarse, of a boat that rests, goes on with no larger step than others
-        fault = np.mean(others == 0.0) < FINE or after > others.max(initial=0.0)
+        fault = (others > 0.0).all() or after > others.max(initial=0.0)
         if (sensor == "rows" and same) or (sensor != "rows" and (fault or not same)):
             spans.append(k)
             still |= same
@@ -428,13 +430,10 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     # made of speed and course, a mark is in both
     for names, values in [*groups, (VELOCITY, np.hypot(*recording.z[:, 2:4].T).round(9))]:
         seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
-        for value in seen[count > 2]:
-            rows, others = values == value, np.repeat(seen[seen != value], count[seen != value])
+        for value in _far_and_often(seen, count):
+            rows = values == value
             long = rows.sum() > SILENT_SAMPLES * np.median(count)
-            if len(others) < ENOUGH or not (long or len(runs_of(rows)) > 2):
-                continue
-            low, high = np.quantile(others, [0.01, 0.99])
-            if max(low - value, value - high) < high - low:
+            if not (long or len(runs_of(rows)) > 2):
                 continue
             for name in names:
                 z[rows, MEASUREMENTS.index(name)] = np.nan
@@ -443,8 +442,24 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
                 f'are {value:g}, far from all others: a mark for "no value"'
             )
             remedy = "leave these cells empty; here they are left out, and the rest is checked"
-            found.append(Finding(ERROR, "mark", what, remedy, names[0], float(value)))
+            severity = WARNING if OPTIONAL.issuperset(names) else ERROR
+            found.append(Finding(severity, "mark", what, remedy, names[0], float(value)))
     return _without_absurd(dataclasses.replace(recording, z=z), found)
+
+
+def _far_and_often(seen: Array, count: npt.NDArray[np.intp]) -> list[float]:
+    """Return which of some sorted values come more than twice, and lie far from all others."""
+    found = []
+    for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):
+        for k in order:
+            if count[k] <= 2:
+                continue
+            others = np.cumsum(np.where(seen == seen[k], 0, count))
+            low, high = seen[np.searchsorted(others, others[-1] * np.array([0.01, 0.99]))]
+            if others[-1] < ENOUGH or max(low - seen[k], seen[k] - high) < high - low:
+                break  # nor are those farther in
+            found.append(float(seen[k]))
+    return list(dict.fromkeys(found))
 
 
 def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recording, list[Finding]]:
@@ -515,7 +530,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
     if particulars is not None:
         unequal = (n[:, 0] != n[:, 1]).mean() > 0.5
         fixed = particulars.steering == "differential"
-        moved = float(np.ptp(delta, axis=0).max()) > SMALL_ANGLE_RAD
+        moved = bool(np.ptp(delta, axis=0).any())
         if (fixed and moved) or (not fixed and not delta.any() and unequal):
             other = "drives" if fixed else "differential"
             what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"

@@ -54,18 +54,8 @@ ONE_SIDE_COST = 25.0
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
 
-PLAIN = 0.9
-"""A fault without a number that explains so much of what a number does is preferred."""
-
-MOST_FAULTS = 5
-"""Of one log."""
-
 COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
 SHAFTS, STEERING = COMMANDS[:2], COMMANDS[2:]
-
-
-OUTRIGHT = {("scale", "velocity"), ("axes", "accelerometers")}
-"""Code and sensor of faults with a number that are errors."""
 
 
 class Scan(NamedTuple):
@@ -96,14 +86,16 @@ class Hypothesis:
     changed: tuple[str, ...]  # the columns that it changes
     undo: Undo
     scan: Scan | None = None
-    severity: str = ERROR
+    error: bool | None = None  # whether a log cannot be used so; None: where it has no number
     cost: float = 0.0  # beyond that of any fault
     alone: bool = False  # whether it explains each sample by itself
 
     @property
-    def plain(self) -> bool:
-        """Whether it has no number."""
-        return self.scan is None and not self.alone
+    def severity(self) -> str:
+        """No fault of the columns that a twin does without is an error."""
+        error = self.scan is None if self.error is None else self.error
+        needed = {*ANGLES, *HEIGHT, *CLIMB}.isdisjoint(self.changed)
+        return ERROR if error and needed else WARNING
 
     def words(self, text: str, size: float) -> str:
         """Return a text with the number in it; angles in degrees."""
@@ -222,22 +214,14 @@ def _opposite(
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
 
-def _measured(
-    code: str, sensor: str, what: str, remedy: str, names: tuple[str, ...], undo: Undo, scan: Scan
-) -> Hypothesis:
-    """Return a fault with a number."""
-    severity = ERROR if (code, sensor) in OUTRIGHT else WARNING
-    return Hypothesis(code, sensor, what, remedy, names, undo, scan, severity)
-
-
 def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesis:
     """Return a fault of one shaft."""
     remedy = "check this thruster, or its column in the mapping"
-    undo, severity = _map(SHAFTS, np.diag(factors)), ERROR if code == "sign" else WARNING
-    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, severity, ONE_SIDE_COST)
+    undo, error = _map(SHAFTS, np.diag(factors)), code == "sign"
+    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, ONE_SIDE_COST)
 
 
-QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+QUARTER, ASKEW, SCALES = 0.5 * math.pi, _angles(10.0), _scales(0.09)
 ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
 DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
@@ -258,9 +242,9 @@ TABLE: tuple[Hypothesis, ...] = (
               (*COMPASS, GYROS[2]), -QUARTER),
     Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
-    _measured("offset", "compass", "the heading is {size} degrees off the motion in any direction",
+    Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
               f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
-    _measured("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
+    Hypothesis("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
               _late(*COMPASS), DELAY),
     *_mirrored("fixes", FIX),
     *_mirrored("velocity", VELOCITY),
@@ -270,17 +254,17 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
                _of_way, alone=True),
-    _measured("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
+    Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
-              _scales(0.15)),
-    _measured("offset", "velocity", "the velocity points {size} degrees off the track of the fixes",
-              f"{PLUS}: courses count from true north, clockwise", VELOCITY, _turned(VELOCITY),
-              ASKEW),
-    _measured("late", "gps", "the GPS comes {size} s late",
+              SCALES, error=True),
+    Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
+               "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
+              _turned(VELOCITY), ASKEW),
+    Hypothesis("late", "gps", "the GPS comes {size} s late",
               f"gps_latency = {{value}} {STATED}", (*FIX, *VELOCITY),
               _late(*FIX, *VELOCITY), DELAY),
-    _measured("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
-    _measured("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
+    Hypothesis("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
+    Hypothesis("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
               _late(*VELOCITY), DELAY),
     *_mirrored("gyro", GYROS),
     *_mirrored("gyro", GYROS[2:]),
@@ -292,21 +276,22 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
-    _measured("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), _angles(30.0)),
-    *(_measured("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
+    Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
+              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
+              error=True),
+    *(Hypothesis("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
                 _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
       for axis, a, b, angles in (("second", 2, 0, "0.0, {value}, 0.0"),
                                  ("first", 1, 2, "{value}, 0.0, 0.0"),
                                  ("third", 0, 1, "0.0, 0.0, {value}"))),
-    _measured("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
-              FORCES, _scaled(*FORCES), _scales(0.05)),
-    *(_measured("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
-                _scaled(name), _scales(0.15)) for name in GYROS),
-    _measured("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
+    Hypothesis("scale", "accelerometers", "the accelerometers are {size} times too small", FACTOR,
+              FORCES, _scaled(*FORCES), SCALES),
+    *(Hypothesis("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
+                _scaled(name), SCALES) for name in GYROS),
+    Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
               f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
-    _measured("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
+    Hypothesis("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
               _late(GYROS[2]), DELAY),
     *_mirrored("ahrs", ANGLES),
     *_units("ahrs", *ANGLES),
@@ -429,7 +414,7 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
     """Return the faults that explain signals best, signals without them, and what undoes them."""
     base = log_likelihood(s)
     table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
-    while len(found) < MOST_FAULTS:
+    while True:
         trials = [_try(s, base, each) for each in table if each.scan is None]
         most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
         # what could explain no more than a fault without a number is not tried
@@ -446,9 +431,6 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
         if not likely:
             break
         best = max(likely, key=lambda trial: trial.score)
-        plain = [t for t in likely if t.hypothesis.plain and t.score > PLAIN * best.score]
-        if plain:
-            best = max(plain, key=lambda trial: trial.score)
         near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(Undone(best.hypothesis, best.size))
@@ -457,7 +439,8 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
             names = best.hypothesis.changed
             s = s.having(names, math.nan * s.stacked(*names))
             base = log_likelihood(s)
-        table = [each for each in hypotheses(s) if each.what != best.hypothesis.what]
+        known = {each.hypothesis.what for each in undone}
+        table = [each for each in hypotheses(s) if each.what not in known]
     return found, s, undone
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.logs.columns import Array
+from twin.logs.signals import ways
 
 __all__ = ["Jumps", "find_jumps"]
 
@@ -16,6 +17,12 @@ _JUMP, _FAST = 50.0, 30.0
 
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
+
+_TYPICAL = 0.75
+"""The speed of a boat is this quantile: it may also rest at times."""
+
+_STILL_M, _STILL_SHARE = 0.1, 0.02
+"""Fixes stand still within this, or this share of the step that follows."""
 
 
 class Jumps(NamedTuple):
@@ -43,23 +50,29 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
 
     Notes
     -----
-    A boat goes on while its fixes repeat themselves: the way counts from the first of them.
+    A boat goes on while its fixes stand still. So where they catch up, the way at the boat's own
+    speed counts from the start of the stand.
     """
     rows = np.flatnonzero(np.isfinite(fix).all(axis=1))
     if len(rows) < 2:
         return None
-    new = np.append(True, (np.diff(fix[rows], axis=0) != 0.0).any(axis=1))
-    group, seen = np.cumsum(new) - 1, rows[new]
-    t, fix = t[seen], fix[seen]
+    t, fix = t[rows], fix[rows]
     length = np.hypot(*np.diff(fix, axis=0).T)
-    if not (length > _JUMP + _FAST * np.diff(t)).any():
+    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
+    if not len(broken):
         return None
+    way, _, width = ways(t, fix)
+    speeds = np.hypot(*way.T)[np.isfinite(way).all(axis=1)] / width
+    own = float(np.quantile(speeds, _TYPICAL)) if len(speeds) else 0.0
+    stood = t.copy()
+    for k in broken[:_PIECES]:
+        stood[k] = t[_stood_from(fix[: k + 1], float(length[k]))]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
-        return np.asarray(way <= _JUMP + _FAST * (t[then] - t[first]), dtype=np.bool_)
+        most = np.maximum(_FAST * (t[then] - t[first]), own * (t[then] - stood[first]))
+        return np.asarray(way <= _JUMP + most, dtype=np.bool_)
 
-    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
     # The longest chain of pieces, each of which can be reached from the one before.
     start, end = np.append(0, broken + 1), np.append(broken, len(t) - 1)
     kept = (end - start + 1).astype(np.int64)
@@ -75,6 +88,16 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     while piece >= 0:
         good[start[piece] : end[piece] + 1] = True
         piece = int(before[piece])
-    first = int(broken[0])
-    lost, last = rows[~good[group]], rows[np.searchsorted(group, first, "right") - 1]
-    return Jumps(lost, len(rows), int(last), int(seen[first + 1]), float(length[first]))
+    if good.all():
+        return None
+    first = int(broken[~(good[broken] & good[broken + 1])][0])
+    return Jumps(
+        rows[~good], len(rows), int(rows[first]), int(rows[first + 1]), float(length[first])
+    )
+
+
+def _stood_from(fix: Array, step: float) -> int:
+    """Return from which row fixes (N, 2) stand still until the last, before a step, m."""
+    radius = max(_STILL_M, _STILL_SHARE * step)
+    apart = np.flatnonzero(np.hypot(*(fix - fix[-1]).T) > radius)
+    return int(apart[-1]) + 1 if len(apart) else 0

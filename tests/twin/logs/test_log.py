@@ -493,6 +493,18 @@ def test_a_jump_that_ends_a_stand_is_accepted(tmp_path: Path) -> None:
     assert np.isfinite(log.z[:, 0]).all()
 
 
+def test_a_jump_of_a_boat_that_rests_ends_no_stand(tmp_path: Path) -> None:
+    """It has gone nowhere meanwhile: one there and back is left out, one that stays is refused."""
+    table = straight_ahead_log(1200, 0.0)
+    for name, seed in (("gps_x_m", 1), ("gps_y_m", 2)):
+        table[name] = 0.05 * np.random.default_rng(seed).standard_normal(1200)
+    table["gps_x_m"][900] += 500.0
+    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
+    assert np.flatnonzero(np.isnan(log.z[:, 0])).tolist() == [900]
+    table["gps_x_m"][600:] += 500.0
+    assert "line 602: the position jumps by " in refused(save(tmp_path / "b.csv", as_text(table)))
+
+
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:
     table = straight_ahead_log(3000)
     table["gps_x_m"] += 500.0 * np.random.default_rng(0).standard_normal(3000)
