@@ -103,17 +103,12 @@ SAILS_M = 20.0
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved."""
 
-<<<<<<< HEAD
 ABSURD_SHARE = 0.1
 """At most so many samples are absurd."""
 
-ABSURD_FROM = {"velocity": 2.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
-"""Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2."""
-=======
 ABSURD_FROM = {"velocity": 0.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
 """Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2; of a velocity, the fixes
 tell."""
->>>>>>> logs
 
 LARGE_ANGLE_RAD = 1.3
 """Few rudders and drives turn farther."""
