@@ -122,48 +122,12 @@ def test_lateral_acceleration_doubles_the_window(boat: Particulars, run: Log) ->
     assert run_of(boat, dataclasses.replace(log, z=z)).window.W == 30
 
 
-@pytest.mark.parametrize(("options", "every"), [({}, 7), ({"stride": 2}, 2), ({"w_max": 20}, 7)])
-def test_each_row_is_used_again_at_the_stride(
-    boat: Particulars,
-    run: Log,
-    monkeypatch: pytest.MonkeyPatch,
-    options: dict[str, Any],
-    every: int,
-) -> None:
-    seen: list[tuple[int, int]] = []
-    original = DSWPredictor._restart
-
-    def counting(self: DSWPredictor, W: int) -> None:
-        seen.append((self._count, W))
-        original(self, W)
-
-    monkeypatch.setattr(DSWPredictor, "_restart", counting)
-    predictor = run_of(boat, run, **options)
-    counts = [count for count, _ in seen]
-    assert counts == [k for k in range(1, predictor._count + 1) if k % every == 0 and k > 15]
-    assert all(15 <= W <= options.get("w_max", 30) for _, W in seen)
-
-
 def test_literal_noise_only_grows_and_stays_within_its_bound(boat: Particulars, run: Log) -> None:
     other = run_of(boat, run, adapt="literal", adapts="QR", adapt_gain=1.0)
     start = other.ukf.settings
     assert (other.q > start.q).all()
     assert (other.r > start.r).all()
     np.testing.assert_allclose(other.q.max(), 100.0 * start.q.max(), rtol=1e-12)
-
-
-def test_restart_begins_at_the_measured_state(boat: Particulars, run: Log) -> None:
-    predictor = run_of(boat, run, window="off")
-    xi, own = predictor.ukf.xi.copy(), predictor.ukf.P[6:, 6:].copy()
-    act = predictor.ukf.act.copy()
-    predictor._restart(1)  # no row is run: only the start is set
-    np.testing.assert_array_equal(
-        predictor.state, predictor._ring.states[(predictor._count - 1) % 30]
-    )
-    np.testing.assert_array_equal(predictor.ukf.xi, xi)
-    np.testing.assert_array_equal(predictor.ukf.P[6:, 6:], own)
-    assert not predictor.ukf.P[:6, 6:].any()
-    np.testing.assert_array_equal(predictor.ukf.act, act)
 
 
 def test_intervals_are_finite_and_positive_definite(boat: Particulars, zigzag: Log) -> None:
