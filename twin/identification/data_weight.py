@@ -64,10 +64,10 @@ __all__ = [
 
 Array = NDArray[Any]
 
-TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
+TRUSTS = (1.0, 10.0, 100.0, 1.0, 10.0, 100.0)
 """How far the refits trust the data; the first is in use until another has proved better."""
 
-SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
+SPANS = (math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 """Over how many of the last seconds each refit looks, at most."""
 
 REFITS = len(TRUSTS)
@@ -253,7 +253,7 @@ def proved(newest, state):
 def _trust_of(candidate):
     """Return how far the data are trusted while a candidate is in use."""
     if candidate < REFITS:
-        return max(_TRUSTS[candidate], 1.0)
+        return _TRUSTS[candidate]
     return 1.0 if candidate == PRIOR else TRUST_OF_JOINT
 
 
@@ -405,10 +405,9 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
                 return
         if is_stable(row, params[chosen], bounds, model, work.line):
             count[CHOSEN] = chosen
-            # less trust, or the prior, forecasts better: it does not make the data say less
-            own = chosen < REFITS and _TRUSTS[chosen] >= 1.0
-            given = chosen if own else 0
-            use(params[chosen], factors[given], _TRUSTS[given], segments, work)
+            # where the prior forecasts better, it does not make the data say less
+            given = chosen if chosen < REFITS else 0
+            use(params[chosen], factors[given], segments, work)
             return
         refused |= np.uint64(1) << np.uint64(chosen)
         if count[SCORED] < ENOUGH:
