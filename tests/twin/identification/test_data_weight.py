@@ -115,8 +115,7 @@ def run(structure, selector, rows):
             continue
         selector.note(range(next_start, newest + 1, SPACING))
         own.relinearise(rows, 8)
-        row = rows[newest % len(rows)]
-        selector.solve(newest, row, np.array([20.0, 20.0, 3.0]))
+        selector.solve(newest)
 
 
 @pytest.mark.slow
