@@ -59,17 +59,9 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "worse - SURPRISE_DRIFT, 0.0", "worse - 1e9, 0.0")],
         [],
     ),
-    "what proved good, in a loss": (
-        [(UPDATE, "            _take_proved(state,", "            _ = (state,")],
-        [f"{UPDATE}:_take_proved", f"{WEIGHT}:proved"],
-    ),
     "mean with the refit, in a loss": (
         [(UPDATE, "            _take_mean(state,", "            _ = (state,")],
         [f"{UPDATE}:_take_mean"],
-    ),
-    "refusal of unstable candidates": (
-        [(WEIGHT, "if is_stable(row, params[chosen]", "if True or is_stable(row, params[chosen]")],
-        [f"{WEIGHT}:is_stable", f"{WEIGHT}:_is_refused"],
     ),
     "robust weights": ([(PLUS, "knee=0.1", "knee=1e9")], []),
     "interval scale": ([(SCALE, "if record.compared == 0.0:", "if True:")], [SCALE]),
@@ -80,11 +72,23 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [f"{FORECAST}:past_waves", f"{WAVES}:forecast_waves", f"{WAVES}:fit_waves"],
     ),
     "waves by heading": (
-        [(WAVES, "math.exp(0.5 * (math.cos(away) - 1.0) / HEADING_BANDWIDTH**2)", "1.0 + 0.0*away")],
+        [
+            (
+                WAVES,
+                "math.exp(0.5 * (math.cos(away) - 1.0) / HEADING_BANDWIDTH**2)",
+                "1.0 + 0.0*away",
+            )
+        ],
         [],
     ),
     "waves drawn": (
-        [(FORECAST, "simulate_waves(window.sectors, out.heading, by_waves", "simulate_waves(0.0 * window.sectors, out.heading, by_waves")],
+        [
+            (
+                FORECAST,
+                "simulate_waves(window.sectors, out.heading, by_waves",
+                "simulate_waves(0.0 * window.sectors, out.heading, by_waves",
+            )
+        ],
         [f"{WAVES}:fit_sector_ar", f"{WAVES}:simulate_waves"],
     ),
     "low-frequency observer": (
@@ -99,10 +103,16 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(SETTINGS, "if rough:\n        walking =", "if False:\n        walking =")],
         [],
     ),
-    "noises of fixed pairs": ([(SETTINGS, "ROUGH_PUSH, ROUGH_NOISE = 4.0, 0.5", "ROUGH_PUSH, ROUGH_NOISE = 1.0, 1.0")], []),
+    "noises of fixed pairs": (
+        [(SETTINGS, "ROUGH_NOISE = 4.0, 0.5", "ROUGH_NOISE = 1.0, 1.0")],
+        [],
+    ),
     "less push at rest": ([(SETTINGS, "REST_PUSH = 0.001", "REST_PUSH = 0.999")], []),
     "damping left to fixed pairs": ([(SETTINGS, "ROUGH_SHARE = 0.3", "ROUGH_SHARE = 0.1")], []),
-    "wandering biases of tankers": ([(SETTINGS, '"E_north", "E_east", "N_0"), 28', '"-",), 28')], []),
+    "wandering biases of tankers": (
+        [(SETTINGS, '("E_north", "E_east", "N_0"), 28', '("",), 28')],
+        [],
+    ),
     "wider prior of tankers": ([(SETTINGS, "PRIOR_INFLATION = 1.5", "PRIOR_INFLATION = 1.0")], []),
     "waves that move tankers": ([(SETTINGS, "1.0, 0.3, 10.0\n", "1.0, 0.0, 0.0\n")], []),
 }
@@ -138,7 +148,9 @@ def forecasts(log, reference, boat, first: float, loss: float | None) -> dict[st
         if loss is not None and t >= loss:
             lost, loss, end = copy.deepcopy(twin), None, t + LOSS_S
             for k in range(row + 1, int(np.searchsorted(log.t, end))):
-                lost.step(log.t[k], np.where(np.arange(log.z.shape[1]) < 4, np.nan, log.z[k]), log.cmd[k])
+                lost.step(
+                    log.t[k], np.where(np.arange(log.z.shape[1]) < 4, np.nan, log.z[k]), log.cmd[k]
+                )
             now = lost.estimate()
             off = now.state[:2] - truth.at(np.array([now.t]))[0, :2]
             bound = ELLIPSE_90 * float(np.mean(np.square(now.sd[:2])))
@@ -148,7 +160,9 @@ def forecasts(log, reference, boat, first: float, loss: float | None) -> dict[st
             continue
         while due <= t + 1e-9:
             due += EVERY_S
-        one = score(twin.predict(known_plan(reference, row, AT[-1], dt), dt=dt), truth.at(times), AT)
+        one = score(
+            twin.predict(known_plan(reference, row, AT[-1], dt), dt=dt), truth.at(times), AT
+        )
         out["t"].append(t)
         out["error"].append(float(one.displacement[-1]))
         out["covered"].append(one.covered[:, -1].tolist())
@@ -262,7 +276,7 @@ def table(results: dict[str, dict[str, dict]]) -> str:
         inside = 100 * np.mean([found[r]["loss"][1] for r in lost])
         cells.append(f"{100 * (np.exp(np.mean(np.log(ratio))) - 1):+.1f} % ({inside:.0f})")
         count = lines_of(MECHANISMS[name][1]) if name in MECHANISMS else 0
-        lines.append(f"| {name} | {count or '–'} | {' | '.join(cells)} |")
+        lines.append(f"| {name} | {count or '-'} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
