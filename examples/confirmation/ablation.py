@@ -53,7 +53,6 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     "head start by data weight": ([(WEIGHT, "FOLLOWS = 1.1, 0.5", "FOLLOWS = 1.1, 0.0")], []),
     "short memory of records": ([(WEIGHT, "MEMORIES = 8, (10, 60)", "MEMORIES = 8, (60, 60)")], []),
     "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
-    "inflation after a change": ([(CHANGE, "INFLATION = 1.5", "INFLATION = 1.0")], []),
     "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
     "cumulative sum of surprise": (
         [(WEIGHT, "worse - SURPRISE_DRIFT, 0.0", "worse - 1e9, 0.0")],
