@@ -42,7 +42,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [f"{UPDATE}:_identify", f"{UPDATE}:_take_mean"],
     ),
     "several data weights": (
-        [(WEIGHT, "(1.0, 10.0, 100.0, 1.0, 10.0, 100.0)", "(1.0,) * 6")],
+        [(WEIGHT, "(1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)", "(1.0,) * 7")],
         [],
     ),
     "short spans": ([(WEIGHT, "math.inf, 35.0, 35.0, 35.0", "math.inf, 1e9, 1e9, 1e9")], []),

@@ -63,10 +63,10 @@ __all__ = [
 
 Array = NDArray[Any]
 
-TRUSTS = (1.0, 10.0, 100.0, 1.0, 10.0, 100.0)
+TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
 """How far the refits trust the data; the first is in use until another has proved better."""
 
-SPANS = (math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
+SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 """Over how many of the last seconds each refit looks, at most."""
 
 REFITS = len(TRUSTS)
@@ -231,7 +231,7 @@ def linearised_at(state):
 def _trust_of(candidate):
     """Return how far the data are trusted while a candidate is in use."""
     if candidate < REFITS:
-        return _TRUSTS[candidate]
+        return max(_TRUSTS[candidate], 1.0)
     return 1.0 if candidate == PRIOR else TRUST_OF_JOINT
 
 
@@ -345,8 +345,8 @@ def select_trust(newest, state, segments, config, model, work):
             store_factor(work.solve.U, factors[r])
     if count[SCORED] >= ENOUGH:
         count[CHOSEN] = chosen = _best(state, config)
-    # where the prior forecasts better, it does not make the data say less
-    given = chosen if chosen < REFITS else 0
+    # where less trust, or the prior, forecasts better, it does not make the data say less
+    given = chosen if chosen < REFITS and _TRUSTS[chosen] >= 1.0 else 0
     use(params[chosen], factors[given], segments, work)
 
 
