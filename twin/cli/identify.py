@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+from twin.benchmark.trust import judge
 from twin.channels import STATE
 from twin.cli.common import (
     LogsArgument,
@@ -26,6 +29,7 @@ from twin.cli.common import (
 from twin.cli.tables import print_estimate, print_health, print_prior
 from twin.digital_twin import Twin
 from twin.logs.errors import LogError
+from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
@@ -76,8 +80,9 @@ def identify_command(
     as without the stop. The file holds predictor, boat and instruments.
 
     Several logs are runs of one boat: each is identified by itself, and the parameters are
-    combined, with their covariance widened for load and fouling. --save-prior keeps that as the
-    boat's own prior, also of one run. Each run begins without an earlier prior.
+    combined, with their covariance widened for load and fouling. What that is worth is said as
+    well: each run is forecast with the prior of the others, beside none. --save-prior keeps it as
+    the boat's own prior, also of one run. Each run begins without an earlier prior.
 
     Whether a twin may be trusted says usv-twin check: give no run that it calls bad.
     """
@@ -88,7 +93,7 @@ def identify_command(
     logs = list(dict.fromkeys(logs))
     one_run(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1
-    twins, said = [], set[str]()
+    runs, said = [], set[str]()
     for path in logs:
         log, twin = twin_for_log(
             path,
@@ -119,24 +124,53 @@ def identify_command(
             console.print(f"every row: {out}")
         if json_file is not None:
             write_json(json_file, _estimate_json(last, twin))
-        twins.append(twin)
+        runs.append((log, twin))
     if together:
-        _combine(twins, save_prior)
+        _combine(runs, predictor, save_prior)
 
 
-def _combine(twins: Sequence[Twin], path: Path | None) -> None:
+def _combine(runs: Sequence[tuple[Log, Twin]], predictor: str, path: Path | None) -> None:
     """Print what runs say together of the boat, and write it as a prior."""
-    if path is None and not isinstance(twins[0].predictor, ModelPredictor):
-        console.print(f"{twins[0].name} has no model, and so identifies no parameters.")
+    first = runs[0][1]
+    if path is None and not isinstance(first.predictor, ModelPredictor):
+        console.print(f"{first.name} has no model, and so identifies no parameters.")
         return
-    prior = prior_of_runs([twin.predictor for twin in twins])
-    twins[0].reset()
-    print_prior(prior, twins[0])
+    prior = prior_of_runs([twin.predictor for _, twin in runs])
+    if len(runs) > 1:
+        _print_worth(runs, predictor)
+    first.reset()
+    print_prior(prior, first)
     if path is None:
         explain("--save-prior boat.prior keeps this for the next run of the boat.")
         return
     write_text(path, prior.file_text())
     console.print(f'prior: {path}; use it with prior = "{path.name}" in the particulars')
+
+
+def _print_worth(runs: Sequence[tuple[Log, Twin]], predictor: str) -> None:
+    """Print by how much forecasts of each run err with the prior of the others, beside none."""
+    ratios = []
+    for k, (log, twin) in enumerate(runs):
+        prior = prior_of_runs([other.predictor for _, other in (*runs[:k], *runs[k + 1 :])])
+        own = dataclasses.replace(twin.particulars, prior=prior)
+        with row_progress(f"forecasting {log.name}", 2 * len(log)) as advance:
+            told, untold = (
+                judge(log, boat, predictor, on_row=advance).answers[0].numbers
+                for boat in (own, twin.particulars)
+            )
+        if told:
+            names = ("displacement_m", "heading_rad")
+            ratios.append([told[name] / untold[name] for name in names])
+    if not ratios:
+        console.print("what the prior is worth cannot be told: too few fixes and headings")
+        return
+    typical, worst = np.exp(np.log(ratios).mean(axis=0)), np.max(ratios, axis=0)
+    console.print(
+        "With the prior of the other runs, forecasts of 10 s err by "
+        f"{typical[0]:.2f} (displacement) and {typical[1]:.2f} (heading) of what they do without; "
+        f"in the worst of {len(ratios)} runs by {worst[0]:.2f} and {worst[1]:.2f}.",
+        soft_wrap=True,
+    )
 
 
 def _estimate_json(estimate: Estimate, twin: Twin) -> dict[str, Any]:

@@ -35,9 +35,6 @@ SHARE_SD, CURRENT_SD = 0.5, 1.0
 """Standard deviations of a change: of the share of its thrust that a side gives, and of the
 current, m/s."""
 
-INFLATION = 1.5
-"""Variances of all parameters grow by this factor when something has changed."""
-
 STEPS = 3
 """Robust reweightings in the search for a change."""
 
@@ -223,7 +220,6 @@ def widen_known(base, factor, pull, information, config, model, work):
     _write_effects(base, config, model, effects)
     for i in range(p):
         for k in range(p):
-            A[i, k] *= INFLATION
             for j in range(CHANGES):
                 A[i, k] += effects[j, i] * effects[j, k]
     if cholesky(A, U, line) > 0:

@@ -56,7 +56,6 @@ __all__ = [
     "forecast_error",
     "linearised_at",
     "note",
-    "proved",
     "score",
     "select_trust",
     "selector_state",
@@ -83,9 +82,6 @@ COUNT_MAX = 2.0**52
 """Whole numbers up to it are exact in a double."""
 
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
-
-STABLE_FOR = 20.0
-"""A refit is of use if it stays within bounds under held commands for so long, s."""
 
 ENOUGH, MEMORIES = 8, (10, 60)
 """Segments before anything is chosen, and over which errors are averaged: few, to follow a boat
@@ -231,24 +227,6 @@ def linearised_at(state):
     return best
 
 
-@kernel
-def proved(newest, state):
-    """Return the candidate to go on with where no more forecasts can be compared.
-
-    It is the one in use, but for a short refit after a change that was found just now. A turn into
-    other waves looks like one, and nothing has confirmed it yet. Then it is the long refit with
-    the best record.
-    """
-    chosen, errors = int(state.count[CHOSEN]), state.errors[1]
-    if not SHORT <= chosen < REFITS or (newest - state.count[ALARM]) * GRID > SETTLED:
-        return chosen
-    best = 0
-    for r in range(1, SHORT):
-        if errors[r] < min(errors[best], errors[0] - MARGINS[1]):
-            best = r
-    return best
-
-
 @inlined
 def _trust_of(candidate):
     """Return how far the data are trusted while a candidate is in use."""
@@ -338,51 +316,19 @@ def score(first, rows, state, config, model, work):
 
 
 @kernel
-def is_stable(row, xi, bounds, model, work):
-    """Return whether velocities are within bounds after :data:`STABLE_FOR` s of held commands.
-
-    The motion starts on both sides of the row's velocities: a mode that grows needs a perturbation.
-    """
-    s = work.s
-    stable = True
-    for side in (-1.0, 1.0):
-        for i in range(3):
-            s[i] = row[i]
-            s[3 + i] = row[LOW + i]
-        s[4] += side * 0.1 * bounds[1]
-        s[5] += side * 0.1 * bounds[2]
-        drive(row[ACT:MIDDLE], work.terms[3])
-        for _ in range(round(STABLE_FOR / GRID)):
-            if not rk4_step(row, row, row[WIND:GOOD], xi, model, work, False):
-                return False
-        for i in range(3):
-            stable = stable and abs(s[3 + i]) <= bounds[i]
-    return stable
-
-
-@inlined
-def _is_refused(candidate, refused):
-    """Return whether a candidate is among the refused ones, the bits of a number."""
-    return (refused >> np.uint64(candidate)) & np.uint64(1)
-
-
-@kernel
-def _best(refused, state, config):
-    """Return the candidate with the best record; -1 if all are refused.
-
-    The default is in use until another has proved better.
-    """
-    best, most = -1, -math.inf
+def _best(state, config):
+    """Return the candidate with the best record; the default until another has proved better."""
+    best, most = 0, -math.inf
     default = JOINT if config.joint == FIRST else 0
     for r in range(_candidates(config)):
         lead = _lead(r, state.errors) + (1.0 if r == default else 0.0)
-        if lead > most and not _is_refused(r, refused):
+        if lead > most:
             best, most = r, lead
     return best
 
 
 @kernel
-def select_trust(newest, row, bounds, state, segments, config, model, work):
+def select_trust(newest, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best candidate to use."""
     count, params, factors = state.count, state.params, state.factors
     _test_for_change(newest, state, segments, config, model, work)
@@ -397,22 +343,11 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
             known = Known(_TRUSTS[r], since, state.pull, state.information)
         if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    refused = np.uint64(0)
-    for _ in range(params.shape[0]):
-        if count[SCORED] >= ENOUGH:
-            chosen = _best(refused, state, config)
-            if chosen < 0:
-                return
-        if is_stable(row, params[chosen], bounds, model, work.line):
-            count[CHOSEN] = chosen
-            # less trust, or the prior, forecasts better: it does not make the data say less
-            own = chosen < REFITS and _TRUSTS[chosen] >= 1.0
-            given = chosen if own else 0
-            use(params[chosen], factors[given], _TRUSTS[given], segments, work)
-            return
-        refused |= np.uint64(1) << np.uint64(chosen)
-        if count[SCORED] < ENOUGH:
-            return
+    if count[SCORED] >= ENOUGH:
+        count[CHOSEN] = chosen = _best(state, config)
+    # where less trust, or the prior, forecasts better, it does not make the data say less
+    given = chosen if chosen < REFITS and _TRUSTS[chosen] >= 1.0 else 0
+    use(params[chosen], factors[given], segments, work)
 
 
 class TrustSelector:
@@ -491,7 +426,7 @@ class TrustSelector:
         own = self.segments
         score(first, rows, self.state, own.config, own.model, own.work)
 
-    def solve(self, newest: int, row: Array, bounds: Array) -> None:
+    def solve(self, newest: int) -> None:
         """Refit with the trust in use and another in turn, and put the best of all to use."""
         own = self.segments
-        select_trust(newest, row, bounds, self.state, own.state, own.config, own.model, own.work)
+        select_trust(newest, self.state, own.state, own.config, own.model, own.work)

@@ -58,7 +58,6 @@ class SegmentState(NamedTuple):
     A segment's quadratic is ``c - 2 b . d + d' H d`` at parameters d relative to the prior's.
     """
 
-    trust: Any  # (1,) factor of what the segments say, as in use
     params: Any  # (p,) parameters in use
     cov: Any  # (p, p) their covariance (Laplace)
     first: Any  # (n,) first row of each segment; -1 where there is none
@@ -97,15 +96,14 @@ class SegmentWork(NamedTuple):
 @inlined
 def segment_state(memory, p, n):
     """Open the memory of n segments."""
-    trust, at = take(memory, 0, (1,))
-    params, at = take(memory, at, (p,))
+    params, at = take(memory, 0, (p,))
     cov, at = take(memory, at, (p, p))
     first, at = take(memory, at, (n,))
     c, at = take(memory, at, (n,))
     b, at = take(memory, at, (n, p))
     linearised, at = take(memory, at, (n, p))
     packed, at = take(memory, at, (n, packed_size(p)))
-    return SegmentState(trust, params, cov, first, c, b, linearised, packed)
+    return SegmentState(params, cov, first, c, b, linearised, packed)
 
 
 @inlined
@@ -316,9 +314,8 @@ def store_factor(U, out):
 
 
 @kernel
-def use(xi, factor, trust, state, work):
+def use(xi, factor, state, work):
     """Put parameters to use, and the covariance that belongs to a factor: 0 where it has none."""
-    state.trust[0] = trust
     for k in range(xi.shape[0]):
         state.params[k] = xi[k]
     if factor[0, 0] > 0.0:
@@ -391,16 +388,6 @@ class Segments:
         self.memory[:] = 0.0
         self.state.first[:] = -1.0
         self.params[:], self.cov[:] = self.prior, self.prior_cov
-        self.trust = 1.0
-
-    @property
-    def trust(self) -> float:
-        """How many times more the segments count than ``scale`` and ``knee`` say."""
-        return float(self.state.trust[0])
-
-    @trust.setter
-    def trust(self, value: float) -> None:
-        self.state.trust[0] = value
 
     @property
     def first(self) -> Array:
@@ -439,16 +426,16 @@ class Segments:
         q = self.costs(xi)
         knee, offset = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
-        weight = self.trust * self.settings.scale * self.samples
+        weight = self.settings.scale * self.samples
         return float(weight * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
-        known = Known(self.trust, 0, self.work.solve.none, self.config.information)
+        known = Known(1.0, 0, self.work.solve.none, self.config.information)
         given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
         if solve(self.params, known, iterations, damping, *given) and damping == 0.0:
-            use(self.params, self.work.solve.U, self.trust, self.state, self.work)
+            use(self.params, self.work.solve.U, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
         """Iterate to the least of the true objective; return whether it converged.

@@ -1,22 +1,15 @@
 """DSW-UKF+: the twin that refits its model to the last minutes, and says how sure it is.
 
-Four things work together:
+A navigation filter and a joint UKF carry state and parameters from row to row, as in
+:class:`twin.predictors.ukf.UKFPredictor`. Each second the parameters are also refitted to what
+would have predicted the last minutes best, from a prior with full covariance, for several weights
+of the data and after changes of thrust or current; of refits, joint filter and prior those
+parameters are used whose earlier forecasts were best. A forecast begins at a low-frequency
+observer, the model held to the navigation's velocities, and what that leaves of them is waves, an
+autoregression that is predicted for the next seconds. Its intervals come from draws of parameters,
+start and waves, and shrink where the last forecasts erred less than parameters and start claim.
 
-1. the tight navigation filter and the joint UKF of :class:`twin.predictors.ukf.UKFPredictor`, which
-   carry state and parameters from row to row, through losses of sensors as well;
-2. the refit of :mod:`twin.identification.prediction_error`: every second the parameters (and their
-   covariance) become those that would have predicted the last minutes best, starting from a prior
-   with full covariance; the joint filter goes on from there;
-3. a low-frequency observer, the model held to the navigation's velocities by a gain of 0.5 /s:
-   predictions start from it, because waves are no part of the model, and what it leaves of the
-   measured velocities is taken for waves (:mod:`twin.identification.wave_residual`);
-4. prediction intervals from draws: of the parameters, of the start, and of the waves to come,
-   which are those of the headings ahead, and move the low-frequency motion as the observer would.
-
-Where the predicted motion leaves what the boat was ever seen to do, the parameters are shrunk to
-the prior until it does not (:data:`twin.identification.joint_ukf.PRIOR_SHRINKAGE`).
-
-Source: docs/explanation/twin.md, The refit; Waves and prediction intervals.
+Source: docs/explanation/twin.md, The refit; Waves and prediction intervals; Constants.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import PSI, R, U, V
-from twin.filters.linalg import invert
 from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.change import change_work
@@ -19,7 +18,6 @@ from twin.identification.data_weight import (
     SCORED,
     linearised_at,
     note,
-    proved,
     score,
     select_trust,
     selector_state,
@@ -29,7 +27,6 @@ from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
     filter_workspace,
-    plausible_speed,
 )
 from twin.identification.prediction_error import (
     ACT,
@@ -365,12 +362,8 @@ def _refit(memory, config, work):
         return
     at = selector.params[linearised_at(selector)]
     relinearise(given.relinearised, rows, at, segments, given, model, scratch)
-    row = rows[newest % rows.shape[0]]
-    bounds, tight = work.waves[:3], filter_state(memory.filter, model)
-    nominal = filter_config(config.filter, model).nominal
-    for i in range(3):
-        bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
-    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
+    tight = filter_state(memory.filter, model)
+    select_trust(newest, selector, segments, given, model, scratch)
     if int(selector.count[CHOSEN]) == JOINT:
         for i in range(p):
             for k in range(p):
@@ -431,22 +424,6 @@ def _take_mean(state, selector, memory, model):
 
 
 @kernel
-def _take_proved(state, selector, memory, model, refit, work):
-    """Go on with parameters that have proved good, at the beginning of a loss of GPS."""
-    p = model.which.shape[1]
-    best = proved(last_row(as_record(memory.window, WINDOW)), selector)
-    if best == int(selector.count[CHOSEN]) or not selector.factors[best, 0, 0] > 0.0:
-        return
-    segments = segment_state(memory.segments, p, refit.capacity)
-    solve = refit_work(work, p, refit.capacity).solve
-    invert(selector.factors[best], segments.cov, solve.inverse)
-    selector.count[CHOSEN] = best
-    for i in range(p):
-        state.x[N_STATES + i] = segments.params[i] = selector.params[best, i]
-    _give_covariance(segments.cov, state.P)
-
-
-@kernel
 def plus_step(t, dt, z, cmd, memory, config, work):
     """Take one row, as :meth:`twin.predictors.base.Predictor.update`, and refit when it is time."""
     nav, window, model = (
@@ -483,13 +460,10 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             _identify(outage, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD:
+    if given.rest_push < 1.0 and nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD:
         selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
-        if selector.count[SCORED] >= SEGMENTS_MIN:
-            if refit.joint == NONE:
-                _take_proved(state, selector, memory, model, refit, work)
-            elif given.rest_push < 1.0 and int(selector.count[CHOSEN]) == JOINT:
-                _take_mean(state, selector, memory, model)
+        if selector.count[SCORED] >= SEGMENTS_MIN and int(selector.count[CHOSEN]) == JOINT:
+            _take_mean(state, selector, memory, model)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     trusted = nav.gps_age <= GAP_GOOD and not is_learning_suspended(nav)

@@ -8,11 +8,11 @@ asked boat by boat.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -104,12 +104,18 @@ _ALL_STATUSES = _HEALTH.start + field_at(INTEGRITY, "statuses")
 _LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
 
 
-@dataclass(frozen=True, kw_only=True)
+PRIORS = ("boat", "class", "fleet")
+"""What a twin knows of its boat before any data, at most: what earlier runs of the boat taught (the
+prior of the particulars), its class, or boats of its kind. What is not there leaves the next."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class TwinOptions:
     """Options of the twins of an environment, see :class:`twin.sim.wrapper.TwinObservation`."""
 
     twin: str | Predictor = DEFAULT  # a name, or a predictor, of which many boats get copies
     particulars: Particulars | None = None  # those of the vessel if left out
+    twin_prior: str = "boat"  # one of PRIORS
     band_period: float = 5.0  # the standard deviations ahead are updated this often, s
     twin_seed: int = 0
     observation: str = "twin"  # one of TWIN_SETS
@@ -118,6 +124,8 @@ class TwinOptions:
     def __post_init__(self) -> None:
         if self.observation not in TWIN_SETS:
             raise UsvTwinError(f"observation = {self.observation!r}; known: {', '.join(TWIN_SETS)}")
+        if self.twin_prior not in PRIORS:
+            raise UsvTwinError(f"twin_prior = {self.twin_prior!r}; known: {', '.join(PRIORS)}")
         if not (math.isfinite(self.band_period) and self.band_period >= 0.0):
             raise PredictorError(f"band_period = {self.band_period} must be finite and 0 or more")
 
@@ -615,6 +623,9 @@ def twins_of(episodes: Episodes, options: TwinOptions) -> tuple[TwinObserver, ..
                 )
             more = simulator_options(twin, kind.vessel, episodes.seas[0], sim.dof)
         about = given or particulars_of(kind.vessel, sim.suite, sim.dof)
+        if options.twin_prior != "boat":
+            design = about.design if options.twin_prior == "class" else ""
+            about = dataclasses.replace(about, design=design, prior=None)
         if sim.dof == 6:
             about = with_deck_point(about, kind.deck_point)
         first = Twin(about, twin, seed=options.twin_seed, **more)

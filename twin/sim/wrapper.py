@@ -232,8 +232,8 @@ class USVTwinEnv(USVEnv):
         :func:`make_env`.
     **kwargs
         ``twin``, ``particulars``, ``band_period``, ``twin_seed`` and ``forecast_scores`` as for
-        :class:`TwinObservation`, with ``twin_seed`` for ``seed``; others as for
-        :class:`usv_gym.envs.env.USVEnv`.
+        :class:`TwinObservation`, with ``twin_seed`` for ``seed``; ``twin_prior``, one of
+        :data:`twin.sim.batched_twins.PRIORS`; others as for :class:`usv_gym.envs.env.USVEnv`.
     """
 
     def __init__(self, *, observation: str | Sequence[str] = "twin", **kwargs: Any) -> None:

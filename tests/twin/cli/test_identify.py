@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
 
@@ -24,6 +25,9 @@ def second(folder, tmp_path_factory):
 def test_several_runs_are_combined(folder, second):
     out = run("identify", folder / "run.csv", second).stdout
     assert "from 2 run(s), model mmg" in out and "e+15" not in out
+    # each run is forecast with the prior of the other, beside none
+    worth = re.search(r"err by (\S+) \(displacement\).* worst of 2 runs by (\S+) and", out)
+    assert worth is not None and 0.1 < float(worth[1]) <= float(worth[2]) < 3.0
     assert "no model" in run("identify", folder / "run.csv", second, "-p", "persistence").stdout
 
 

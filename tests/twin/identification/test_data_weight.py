@@ -115,8 +115,7 @@ def run(structure, selector, rows):
             continue
         selector.note(range(next_start, newest + 1, SPACING))
         own.relinearise(rows, 8)
-        row = rows[newest % len(rows)]
-        selector.solve(newest, row, np.array([20.0, 20.0, 3.0]))
+        selector.solve(newest)
 
 
 @pytest.mark.slow
@@ -131,7 +130,7 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
     assert selector.chosen > 0
     own = selector.segments
     assert (own.params == selector.params[selector.chosen]).all()
-    assert own.trust == TRUSTS[selector.chosen]
+    assert TRUSTS[selector.chosen] > TRUSTS[0]
     # the choice pays on what comes later
     later = window(structure, truth, np.random.default_rng(2))
     errors = [

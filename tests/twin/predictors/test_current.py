@@ -7,7 +7,7 @@ import pytest
 
 from twin import Twin
 from twin.channels import MEASUREMENTS
-from twin.identification.data_weight import CHANGED, SCORED, is_stable
+from twin.identification.data_weight import CHANGED
 from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
@@ -54,7 +54,7 @@ def test_current_is_held_without_gps(twin, log):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_rough_models_are_refused_or_bounded(log, seed):
+def test_rough_models_are_bounded(log, seed):
     """Whatever the refits hold, forecast and observer stay with what was seen."""
     boat = particulars_of(Vessel.load("usv75"))
     twin = Twin(boat, "dsw-ukf-plus")
@@ -72,10 +72,6 @@ def test_rough_models_are_refused_or_bounded(log, seed):
     ahead = twin.predict("hold").mean[:, 3:]
     assert np.isfinite(ahead).all()
     assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
-    chosen = predictor.selector.params[predictor.selector.chosen]
-    row = predictor.rows[predictor.last_row % len(predictor.rows)]
-    if predictor.selector.state.count[SCORED] >= 8 and not (chosen == wild).all():
-        assert is_stable(row, chosen, bounds, own.model, own.work.line)
 
 
 def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
