@@ -100,8 +100,8 @@ FAR_SD = 4.0
 FAR_DOUBTFUL = 4
 """Up to so many far parameters are doubtful, more are bad."""
 
-SIGN_BEFORE_SD, SIGN_AFTER_SD = 1.5, 2.0
-"""Standard deviations by which a sign is known in the prior and after the run."""
+SIGN_SD = 1.645
+"""Standard deviations by which a sign is known to 95 %, in the prior and after the run."""
 
 EFFECTS = {
     **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
@@ -682,8 +682,8 @@ def turned_effects(names: Sequence[str], prior: Estimate, last: Estimate) -> lis
         Before the first row, and at the end.
     """
     before, after = prior.params, last.params
-    known = (before * after < 0.0) & (np.abs(before) > SIGN_BEFORE_SD * prior.params_sd)
-    sure = known & (np.abs(after) > SIGN_AFTER_SD * last.params_sd)
+    known = (before * after < 0.0) & (np.abs(before) > SIGN_SD * prior.params_sd)
+    sure = known & (np.abs(after) > SIGN_SD * last.params_sd)
     damping = {
         DAMPING[name]
         for name, turned in zip(names, known, strict=True)
