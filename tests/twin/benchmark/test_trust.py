@@ -25,7 +25,6 @@ from twin.benchmark.trust import (
 )
 from twin.identification.data_weight import CHOSEN, PRIOR
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
-from twin.motion.tilt_meter import TiltScore
 from twin.predictors.base import ParametersInUse
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.ukf import UKFPredictor
@@ -287,21 +286,6 @@ def rolling_boat() -> Particulars:
 def rolling(rolling_boat: Particulars, rolling_log: Log) -> Verdict:
     """Return the verdict on it."""
     return verdict_of(rolling_boat, rolling_log)
-
-
-def test_few_bad_forecasts_of_roll_are_doubtful_and_many_are_bad(
-    rolling_boat: Particulars, rolling_log: Log, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bad = np.array([0.3, 0.3])
-    twin = Twin(rolling_boat, "persistence")
-    twin.run(rolling_log.slice(0.0, 1.0))
-    for seconds, grade in ((6.0, DOUBTFUL), (59.0, DOUBTFUL), (61.0, BAD)):
-        meter = TrustMeter(twin, rolling_log)
-        score = TiltScore(9, seconds, bad, 0.5 * bad, 0.01 * bad, 0.2 * bad)
-        monkeypatch.setattr(meter._tilt, "score", lambda score=score: score)
-        answer = meter.verdict().answers[-1]
-        assert (answer.about, answer.grade) == ("attitude", grade)
-        assert ("too few to judge" in answer.text) == (grade == DOUBTFUL)
 
 
 def test_forecasts_of_roll_and_pitch_are_a_sixth_answer(rolling: Verdict) -> None:

@@ -152,19 +152,6 @@ def test_every_parameter_multiplies_its_printed_term(case, nu, psi, wind, act) -
         np.testing.assert_allclose(got, formulas[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_accelerations_are_linear_and_may_stand_behind_the_states(case) -> None:
-    structure, rng = boat(case), np.random.default_rng(1)
-    terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, 6.0, 0.1, 0.3))
-    a, b = rng.normal(size=(2, len(structure)))
-    one, two, both = (
-        np.array(accelerations(terms, structure.terms, xi, 0)) for xi in (a, b, 3.0 * a - b)
-    )
-    np.testing.assert_allclose(both, 3.0 * one - two, rtol=1e-12, atol=1e-10)
-    joint = np.concatenate([rng.normal(size=N_STATES), a])
-    assert accelerations(terms, structure.terms, joint, N_STATES) == tuple(one)
-
-
 def away_from_kinks(*values: float) -> None:
     assume(min(map(abs, values)) > 0.05)
 
