@@ -38,7 +38,10 @@ def mapping_command(
         raise OptionError(f"--dates {dates}: use {' or '.join(ORDERS)}")
     if zone and not re.fullmatch(r"[+-](0\d|1[0-4]):[0-5]\d", zone):
         raise OptionError(f"--zone {zone}: write hours and minutes, such as -05:00 or +09:30")
-    path = out or sibling_path(log, ".mapping.toml")
+    found_beside = sibling_path(log, ".mapping.toml")
+    path = out or found_beside
+    if path.resolve() == sibling_path(log, ".toml").resolve():
+        raise OptionError(f"{path}: is read as the particulars of the boat; choose another --out")
     if path.exists() and not force:
         raise OptionError(f"{path}: is there already; choose another --out, or --force")
     found = propose(log, dates, zone)
@@ -54,7 +57,8 @@ def mapping_command(
         note(f"please check: {question}")
     for name in found.missing:
         note(f"{name}: no column seems to hold it; complete the mapping")
-    console.print(f"mapping: {path}; try it with usv-twin check {log}", soft_wrap=True)
+    option = "" if path.resolve() == found_beside.resolve() else f" --mapping {path}"
+    console.print(f"mapping: {path}; try it with usv-twin check {log}{option}", soft_wrap=True)
 
 
 def _open_question(

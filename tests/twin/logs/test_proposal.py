@@ -169,6 +169,8 @@ def test_a_proposed_mapping_reads_the_log(tmp_path: Path, run: Log, name: str) -
     path = write(tmp_path / "run.csv", run, LOGGERS[name])
     result = CliRunner().invoke(app, ["mapping", str(path)])
     assert result.exit_code == 0, result.output
+    taken = CliRunner().invoke(app, ["mapping", str(path), "-o", str(path.with_suffix(".toml"))])
+    assert taken.exit_code == 2 and "particulars" in taken.output
     back = Log.read(path)
     assert np.abs(back.t - run.t - (back.t[0] - run.t[0])).max() < 2e-3
     for column in (0, 1):
