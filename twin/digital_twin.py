@@ -143,7 +143,8 @@ class Twin:
     def __repr__(self) -> str:
         """Return predictor, boat and time."""
         name = self.name or type(self.predictor).__name__
-        return f"Twin({name} of {self.particulars.name}, t = {self.t:.2f} s)"
+        now = "no row yet" if math.isnan(self.t) else f"t = {self.t:.2f} s"
+        return f"Twin({name} of {self.particulars.name}, {now})"
 
     def reset(self) -> None:
         """Return to the state before the first row."""

@@ -429,6 +429,8 @@ class Particulars:
             unknown = set(table) - {"particulars", "instruments", "deck"}
             if "hull" in unknown:
                 raise ParticularsError(VESSEL_FILE)
+            if {"time", "columns"} & unknown:
+                raise ParticularsError("this is a mapping: give it with --mapping")
             if unknown or "particulars" not in table:
                 raise ParticularsError(
                     "expected the tables [particulars] and, if wished, [instruments] and [deck]; "

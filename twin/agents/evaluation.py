@@ -32,6 +32,7 @@ from usv_kernel.files import import_named
 __all__ = [
     "EVALUATION_SEEDS",
     "FIRST_TRAINING_SEED",
+    "FRAME_SKIP",
     "OUTAGES",
     "SEAS",
     "agents_named",

@@ -149,9 +149,7 @@ class SavedPolicy:
                 f"entries as a set, {sorted(sizes.values())}, and take two numbers; {SIX_LINES}"
             )
         self.observation = sets[0]
-        without = (
-            "as it is; had it been trained with VecNormalize, its vecnormalize.pkl lay beside it"
-        )
+        without = "as it is: no vecnormalize.pkl lies beside it"
         how = without if own is None else f"scaled by {own.name}"
         self.note = f"{path}: sees the observation {sets[0]}, {how}"
         self._memory: Any = None

@@ -10,6 +10,7 @@ from rich.progress import TimeElapsedColumn
 
 from twin.agents.evaluation import (
     EVALUATION_SEEDS,
+    FRAME_SKIP,
     OUTAGES,
     SEAS,
     agents_named,
@@ -95,7 +96,7 @@ def evaluate_command(
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in agents_named(model)]
     for agent in (agent for _, agent in agents if isinstance(agent, SavedPolicy)):
-        note(agent.note)
+        note(f"{agent.note}; each action is held for {FRAME_SKIP} steps of .05 s")
     given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -240,10 +240,14 @@ class SeaState:
             object.__setattr__(self, name, greatest)
 
     @classmethod
-    def named(cls, name: str | int | SeaState) -> SeaState:
+    def named(cls, name: str | int | SeaState | Mapping[str, Any]) -> SeaState:
         """Return a sea state by its name in :data:`SEA_STATES` (or the one handed in)."""
         if isinstance(name, SeaState):
             return name
+        if isinstance(name, Mapping):  # the table of its fields, as in spec.to_json()
+            if unknown := set(name) - {each.name for each in dataclasses.fields(cls)}:
+                raise SeaError(f"a sea state has no field {min(unknown)!r}")
+            return cls(**name)
         if isinstance(name, int):
             name = str(name)
         try:

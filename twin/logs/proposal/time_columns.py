@@ -209,7 +209,7 @@ def _dated(
             )
         elif not zone:
             found.why = "dates without a zone count as UTC"
-            if re.search(r"\blocal", title, re.IGNORECASE):
+            if re.search(r"local|lokal|ortszeit", title, re.IGNORECASE):
                 found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
     if zone and zone != "+00:00":
         found.more += f'{", " * bool(found.more)}zone = "{zone}"'
@@ -223,7 +223,9 @@ def _zone_of(title: str) -> tuple[str, str]:
     if ahead is not None:
         return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
     words = re.findall(r"\b[A-Z]{3,4}\b", title)
-    unknown = "".join(re.findall(r"[(\[]([A-Z]{3,5})[)\]]", title)[:1])
+    unknown = "".join(re.findall(r"[(\[]([^\W\d][\w/ ]{2,})[)\]]", title)[:1])
+    if re.fullmatch(r"[dmyhs/ ]+|.*local.*", unknown, re.IGNORECASE):  # a picture of a date
+        unknown = ""
     return "", next((word for word in words if word in {**ZONES, **MEANINGS}), unknown)
 
 
