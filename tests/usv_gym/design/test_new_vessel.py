@@ -45,7 +45,7 @@ def sails(boat: Vessel) -> None:
 
 @given(**hulls)
 @example(length=1.0, slender=8.0, flat=2.0, block=0.5, froude=0.35, kind="propeller_rudder")
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, derandomize=True)
 def test_a_new_vessel_loads_passes_checks_and_sails(
     tmp_path_factory: pytest.TempPathFactory,
     length: float,
@@ -77,15 +77,13 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
     boat = Vessel.load(path)
     assert dict(boat.values) == pytest.approx(dict(first.vessel.values), rel=1e-12)
     assert boat.guesses == first.vessel.guesses
-    errors = [finding.text for finding in inspect(boat).errors]  # a tiny ship needs a smaller step
-    assert all(length < 2.0 and "it stays bounded with dt_physics" in text for text in errors)
+    assert inspect(boat).errors == []
     n = boat.values["shaft_speed_manoeuvring"]
     assert course_eigenvalues(boat, n)[0].real < 0.0
     assert boat.straight_speed(boat.values["shaft_speed_service"]) == pytest.approx(
         froude * math.sqrt(9.80665 * length), rel=1e-2
     )
-    if not errors:
-        sails(boat)
+    sails(boat)
 
 
 def test_estimates_are_marked_with_their_source_and_range() -> None:
