@@ -23,8 +23,10 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 AT = [2.0, 5.0, 10.0]  # horizons of coverage, s; errors are those of the last
-FIRST_S, EVERY_S = 60.0, 2.0  # first forecast of a run, and the time between two
-CHANGED_S, AFTER_S = 90.0, 30.0  # when something changes, and when the boat is scored again
+FIRST_S = 60.0  # first forecast of a run
+EVERY_S = 2.0  # time between two
+CHANGED_S = 90.0  # when something changes
+AFTER_S = 30.0  # time until the boat is scored again
 LOSS_S = 39.0  # of GPS, in simulated runs from 80 s on
 
 UPDATE, WEIGHT = "twin/predictors/plus_update.py", "twin/identification/data_weight.py"
