@@ -69,6 +69,23 @@ _FILES = all(
 )
 
 
+_UNUSED = {
+    "annotate_types",
+    "dump_parfor_diagnostics",
+    "find_literally",
+    "inline_closure_likes",
+    "inline_inlinables",
+    "inline_overloads",
+    "literal_unroll",
+    "LiteralPropagation",
+    "make_function_op_code_to_jit_function",
+    "nopython_rewrites",
+    "Rewrite dynamic raises",
+    "with_lifting",
+}
+"""Passes of numba for what no kernel has: closures, array expressions, contexts, annotations."""
+
+
 class _Typing(Context):  # type: ignore[misc]
     """numba's typing context with a cache for operators: look-ups take an eighth of a compile."""
 
@@ -79,10 +96,11 @@ class _Typing(Context):  # type: ignore[misc]
 
     def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
         """Return the signature of a call."""
-        name = getattr(getattr(func, "typing_key", None), "__module__", None)
+        origin = getattr(getattr(func, "typing_key", func), "__module__", None)
         call = func, tuple(args)
         try:
-            remember = name == "_operator" and not kws and hash(call) is not None
+            known = isinstance(func, str) or origin in ("_operator", "builtins", "math")
+            remember = known and not kws and hash(call) is not None
         except TypeError:  # a slice with literal limits, before Python 3.12
             remember = False
         signature = self._known.get(call) if remember else None
@@ -189,6 +207,7 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
         passes.passes = [
             (self._lowering if step is NativeLowering else step, text)
             for step, text in passes.passes
+            if step.name() not in _UNUSED
         ]
         passes.finalize()
         return [passes]

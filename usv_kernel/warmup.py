@@ -89,4 +89,5 @@ class CompileListener(event.Listener):  # type: ignore[misc]
         """Collect garbage again after the outermost kernel."""
         self._depth = max(self._depth - 1, 0)
         if not self._depth and self._collecting:
+            gc.freeze()  # compiled code stays: no later collection needs to look at it
             gc.enable()
