@@ -56,25 +56,27 @@ def module_digest(module: str, root: Path = _ROOT) -> str:
     numba's own cache checks the file of the outermost function only. It would run old machine
     code after an edit of a function that this one calls in another file.
     """
-    found: set[Path] = set()
+    found: set[str] = set()
     todo = _files_of(module, root)
     while todo:
         path = todo.pop()
         if path not in found:
             found.add(path)
-            todo += [file for name in _source(path)[1] for file in _files_of(name, root)]
+            todo += _source(path, root)[1]
     digest = hashlib.sha256()
     for path in sorted(found):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + _source(path)[0])
+        digest.update(path.encode() + b"\0" + _source(path, root)[0])
     return digest.hexdigest()[:20]
 
 
-def _files_of(module: str, root: Path) -> list[Path]:
-    """Return the file of a module of the three packages; none for any other name."""
-    if module.partition(".")[0] not in _PACKAGES:
+@functools.cache
+def _files_of(module: str, root: Path) -> list[str]:
+    """Return the file of a module of the three packages below ``root``; none for other names."""
+    package, *_ = parts = module.split(".")
+    if package not in _PACKAGES:
         return []
-    path = root.joinpath(*module.split("."))
-    return [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()]
+    path = "/".join(parts)
+    return [file for file in (f"{path}.py", f"{path}/__init__.py") if (root / file).is_file()]
 
 
 _IMPORT = re.compile(rb"^[ \t]*(?:from[ ]+([\w.]+)[ ]+)?import[ ]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -83,16 +85,17 @@ _COMMENT = re.compile(rb"#[^\n]*")
 
 
 @functools.cache
-def _source(path: Path) -> tuple[bytes, frozenset[str]]:
-    """Return a file's content and the dotted names that it may import."""
+def _source(path: str, root: Path) -> tuple[bytes, frozenset[str]]:
+    """Return the digest of a file below ``root``, and the files that it may import."""
     # a pattern, as parsing would slow down every import of the packages
-    content = path.read_bytes()
+    content = (root / path).read_bytes()
     names = set()
     for origin, listed in _IMPORT.findall(_COMMENT.sub(b"", content)):
         start = origin.decode()
         items = [item.split()[0] for item in listed.decode().strip("()").split(",") if item.strip()]
         names |= {start, *(f"{start}.{item}" for item in items)} if start else set(items)
-    return content, frozenset(names)
+    files = frozenset(file for name in names for file in _files_of(name, root))
+    return hashlib.sha256(content).digest(), files
 
 
 @functools.cache

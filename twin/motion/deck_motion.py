@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from twin.channels import AHRS_ROLL, MOTION_AT, PSI, R, U
 from twin.checkpoint import State, check_fields, fill, record_views
@@ -295,6 +294,8 @@ class MotionForecast:
 
         Between the rows they are interpolated; after the last one they stay.
         """
+        from scipy.interpolate import CubicSpline  # takes as long as all other imports of twin
+
         after = self.t - self.t0
         times = np.clip(np.asarray(horizons, dtype=np.float64), 0.0, after[-1])
         sd = np.stack([np.interp(times, after, column) for column in self.sd.T], axis=1)
