@@ -57,7 +57,7 @@ def module_digest(module: str, root: Path = _ROOT) -> str:
     code after an edit of a function that this one calls in another file.
     """
     found: set[str] = set()
-    todo = _files_of(module, root)
+    todo = [*_files_of(module, root)]
     while todo:
         path = todo.pop()
         if path not in found:
@@ -70,13 +70,13 @@ def module_digest(module: str, root: Path = _ROOT) -> str:
 
 
 @functools.cache
-def _files_of(module: str, root: Path) -> list[str]:
+def _files_of(module: str, root: Path) -> tuple[str, ...]:
     """Return the file of a module of the three packages below ``root``; none for other names."""
     package, *_ = parts = module.split(".")
     if package not in _PACKAGES:
-        return []
+        return ()
     path = "/".join(parts)
-    return [file for file in (f"{path}.py", f"{path}/__init__.py") if (root / file).is_file()]
+    return tuple(file for file in (f"{path}.py", f"{path}/__init__.py") if (root / file).is_file())
 
 
 _IMPORT = re.compile(rb"^[ \t]*(?:from[ ]+([\w.]+)[ ]+)?import[ ]+(\([^)]*\)|[^\n]*)", re.MULTILINE)

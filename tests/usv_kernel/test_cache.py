@@ -112,9 +112,9 @@ def test_an_edit_of_a_called_kernel_recompiles_its_callers(tree: Path, tmp_path:
     assert run(tree, folder)[:2] == pytest.approx((error + 7.0, 4.0 * load), rel=1e-12)
 
 
-def test_every_import_of_the_packages_is_found() -> None:
+def test_every_import_of_the_packages_is_followed() -> None:
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
-        found = cache._source(path)[1]
+        followed = cache._source(path.relative_to(ROOT).as_posix(), ROOT)[1]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 wanted = {alias.name for alias in node.names}
@@ -123,8 +123,17 @@ def test_every_import_of_the_packages_is_found() -> None:
                 wanted = {str(node.module), *(f"{node.module}.{a.name}" for a in node.names)}
             else:
                 continue
-            ours = {name for name in wanted if name.partition(".")[0] in PACKAGES}
-            assert ours <= found, f"{path.name}, line {node.lineno}"
+            ours = [ROOT.joinpath(*name.split(".")) for name in wanted]
+            files = [one.with_suffix(".py") for one in ours] + [o / "__init__.py" for o in ours]
+            found = {one.relative_to(ROOT).as_posix() for one in files if one.is_file()}
+            assert found <= followed, f"{path.name}, line {node.lineno}"
+
+
+def test_a_digest_stays_when_it_is_asked_for_again() -> None:
+    first = cache.module_digest("twin.filters.ukf")
+    assert cache.module_digest("twin.predictors.ukf") != first == cache.module_digest(
+        "twin.filters.ukf"
+    )
 
 
 OPENED_FILES = """
