@@ -134,7 +134,7 @@ class Twin:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.motion = DeckMotion(particulars)
         self.monitor = SensorMonitor(particulars)
-        self.health_history = HealthHistory(self.monitor, self._noted_others)
+        self.health_history = HealthHistory(self.monitor)
         self.begun = math.nan
         self.datum: Datum | None = None
         self.t = self._lost_at = self._noted = math.nan
@@ -345,7 +345,8 @@ class Twin:
         statuses = self.monitor.all_statuses
         if others or statuses != self._noted:
             self._noted = statuses
-            self.health_history.take(self.t, self.begun)
+            troubles = self._others(self.motion.lasting_troubles())
+            self.health_history.take(self.t, self.begun, troubles)
 
     @property
     def health(self) -> dict[str, SensorStatus]:
@@ -356,10 +357,6 @@ class Twin:
         that is too large, or changes too fast, the GPS is doubtful.
         """
         return self.monitor.statuses(self.begun) | self._others(self.motion.troubles())
-
-    def _noted_others(self) -> dict[str, SensorStatus]:
-        """Return the status of what is no sensor of the checks, for the notes."""
-        return self._others(self.motion.lasting_troubles())
 
     def _others(self, channels: dict[str, tuple[str, float, str]]) -> dict[str, SensorStatus]:
         """Return the status of the navigation filter, and those of what else is in trouble.

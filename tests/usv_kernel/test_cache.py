@@ -131,8 +131,10 @@ def test_every_import_of_the_packages_is_followed() -> None:
 
 def test_a_digest_stays_when_it_is_asked_for_again() -> None:
     first = cache.module_digest("twin.filters.ukf")
-    assert cache.module_digest("twin.predictors.ukf") != first == cache.module_digest(
-        "twin.filters.ukf"
+    assert (
+        cache.module_digest("twin.predictors.ukf")
+        != first
+        == cache.module_digest("twin.filters.ukf")
     )
 
 

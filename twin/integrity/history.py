@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable
 from typing import NamedTuple
 
 from twin.integrity.monitor import SensorMonitor, SensorStatus
@@ -33,17 +32,10 @@ class HealthHistory:
     ----------
     monitor : SensorMonitor
         The checks, which others advance.
-    others : callable, optional
-        Returns the status of what is no sensor of the checks: the navigation, and those channels
-        of roll, pitch, heave and wind that are silent or in doubt now.
     """
 
-    def __init__(
-        self,
-        monitor: SensorMonitor,
-        others: Callable[[], dict[str, SensorStatus]] = dict,
-    ) -> None:
-        self._monitor, self._others = monitor, others
+    def __init__(self, monitor: SensorMonitor) -> None:
+        self._monitor = monitor
         self.reset()
 
     def reset(self) -> None:
@@ -51,9 +43,12 @@ class HealthHistory:
         self._changes: list[_Change] = []
         self._last: tuple[bytes, tuple[tuple[str, str], ...]] = b"", ()
 
-    def take(self, t: float, begin: float) -> None:
-        """Note what changed in the row of time t; the first row was at ``begin``, s."""
-        others = self._others()
+    def take(self, t: float, begin: float, others: dict[str, SensorStatus]) -> None:
+        """Note what changed in the row of time t; the first row was at ``begin``, s.
+
+        ``others`` have the status of what is no sensor of the checks: the navigation, and those
+        channels of roll, pitch, heave and wind that are silent or in doubt now.
+        """
         # bytes: this runs in every row
         names = tuple((name, other.status) for name, other in others.items())
         status = self._monitor.memory[_STATUS].tobytes(), names

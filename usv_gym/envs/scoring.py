@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from usv_gym.physics import frames as fr
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record
 from usv_kernel.scalar import wrap
 
@@ -22,8 +23,31 @@ CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
 N_TERMS = 8
 """Most parts of a reward."""
 
+PATH_TERMS = ("progress", "cross_track", "effort", "failure")
+STATION_TERMS = ("distance", "speed", "effort", "failure")
+DOCK_TERMS = (*STATION_TERMS, "heading")
+"""Names of the parts of each kind of reward ..."""
+
+PROGRESS, OFF_PATH = 0, 1
+DISTANCE, SPEED = 0, 1
+EFFORT, FAILURE, HEADING = 2, 3, 4
+"""... and their places."""
+
 MOTION = "motion"
 """Name of the last part of a reward: minus what roll and vertical acceleration cost."""
+
+EFFORT_COST = 0.05
+"""What a change of the action by 1 costs."""
+
+OFF_PATH_MOST = 2.0
+"""The most that a distance from the path costs in a step."""
+
+DISTANCE_COST, BERTH_SPEED_COST, STATION_SPEED_COST, HEADING_COST = 0.5, 0.5, 0.1, 0.25
+"""What a unit of distance, the nominal speed (too fast for a berth; at a station), and an angle to
+the berth of 90 degrees cost in a step."""
+
+BERTH_SLOWING = 3.0
+"""A boat may sail at nominal speed so many reaches from its berth, and slower in proportion."""
 
 ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
 """Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
@@ -35,7 +59,7 @@ DECK = 0.4
 WEIGHT_MAX = 1e3
 """Largest factor of a part of the reward."""
 
-FAILURE = 500.0
+FAILURE_COST = 500.0
 """What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
 agent that looks ahead for less than that never fails on purpose."""
 
@@ -127,6 +151,59 @@ RULES = np.dtype(
 """What is common to the tasks of all boats."""
 
 
+@inlined
+def _rate_path(state, points, leg, rules, task, now):
+    """Write the parts of the reward on a path; return whether it is reached, and left."""
+    errors, angle = task.errors, task.errors[COURSE_ERROR]
+    along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
+    # too fast costs as much as too slow by the same amount
+    now[PROGRESS] = 1.0 - abs(along / rules.speed - 1.0)
+    now[OFF_PATH] = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), OFF_PATH_MOST)
+    reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
+    return reached, abs(errors[CROSS_TRACK]) > rules.area
+
+
+@inlined
+def _rate_docking(state, points, leg, rules, task, now):
+    """Do for a berth what :func:`_rate_path` does for a path."""
+    errors, at_berth = task.errors, leg + 2 == points.shape[0]
+    angle, distance = errors[COURSE_ERROR], math.hypot(errors[CROSS_TRACK], errors[TO_GO])
+    if not at_berth:
+        distance = errors[TO_GO] + math.hypot(
+            points[leg + 2, 0] - points[leg + 1, 0], points[leg + 2, 1] - points[leg + 1, 1]
+        )
+    speed = math.hypot(state[fr.U], state[fr.V])
+    # slower and slower over the last six lengths
+    fast = speed / rules.speed - min(max(distance, 0.0) / (BERTH_SLOWING * rules.reach), 1.0)
+    now[DISTANCE] = -DISTANCE_COST * max(distance, 0.0) / rules.unit
+    now[SPEED] = -BERTH_SPEED_COST * max(fast, 0.0)
+    now[HEADING] = -HEADING_COST * (1.0 - math.cos(angle)) if at_berth else 0.0
+    reached = at_berth and distance < 0.25 * rules.reach and speed < rules.rest
+    quay = at_berth and errors[TO_GO] < -0.5 * rules.reach
+    return reached and abs(angle) < ALONGSIDE, quay or abs(errors[CROSS_TRACK]) > rules.area
+
+
+@inlined
+def _rate_station(state, rules, task, now):
+    """Do for a point to stay at what :func:`_rate_path` does for a path."""
+    distance = math.hypot(task.errors[CROSS_TRACK], task.errors[TO_GO])
+    speed = math.hypot(state[fr.U], state[fr.V])
+    now[DISTANCE] = -DISTANCE_COST * distance / rules.unit
+    now[SPEED] = -STATION_SPEED_COST * speed / rules.speed
+    return distance < rules.reach, distance > rules.area
+
+
+@inlined
+def _rate_motion(state, rate, rules):
+    """Return what roll, and vertical acceleration of the deck point along the mast, cost."""
+    lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
+    ahead, side, down = rules.deck[0], rules.deck[1], rules.deck[2]
+    p, q, r = state[fr.P], state[fr.Q], state[fr.R]
+    lift -= ahead * (rate[fr.Q] - p * r)
+    lift += side * (rate[fr.P] + q * r) - down * (p * p + q * q)
+    return min((state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2, MOTION_MOST)
+
+
 @kernel
 def score_step(
     state: np.ndarray,
@@ -153,67 +230,28 @@ def score_step(
     task.capsized = task.terminated = 1.0 if capsized else 0.0
     if rules.kind == NOTHING:
         return
-    change, fifth = 0.0, 0.0
+    now, count = alloca_f64(N_TERMS), int(rules.terms)
+    if rules.kind == PATH:
+        reached, far = _rate_path(state, points, leg, rules, task, now)
+    elif rules.kind == DOCK:
+        reached, far = _rate_docking(state, points, leg, rules, task, now)
+    else:
+        reached, far = _rate_station(state, rules, task, now)
+    change = 0.0
     for j in range(action.shape[0]):
         change += abs(action[j] - before[j])
-    if rules.kind == PATH:
-        angle = errors[COURSE_ERROR]
-        along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
-        # too fast costs as much as too slow by the same amount
-        first = 1.0 - abs(along / rules.speed - 1.0)
-        second = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), 2.0)
-        reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
-        far = abs(errors[CROSS_TRACK]) > rules.area
-        over = reached or far
-    elif rules.kind == DOCK:
-        angle, at_berth = errors[COURSE_ERROR], leg + 2 == points.shape[0]
-        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
-        if not at_berth:
-            distance = errors[TO_GO] + math.hypot(
-                points[leg + 2, 0] - points[leg + 1, 0], points[leg + 2, 1] - points[leg + 1, 1]
-            )
-        speed = math.hypot(state[fr.U], state[fr.V])
-        # slower and slower over the last six lengths
-        fast = speed / rules.speed - min(max(distance, 0.0) / (3.0 * rules.reach), 1.0)
-        first = -0.5 * max(distance, 0.0) / rules.unit
-        second = -0.5 * max(fast, 0.0)
-        fifth = -0.25 * (1.0 - math.cos(angle)) if at_berth else 0.0
-        reached = at_berth and distance < 0.25 * rules.reach and speed < rules.rest
-        reached = reached and abs(angle) < ALONGSIDE
-        quay = at_berth and errors[TO_GO] < -0.5 * rules.reach
-        far = quay or abs(errors[CROSS_TRACK]) > rules.area
-        over = reached or far
-    else:
-        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
-        speed = math.hypot(state[fr.U], state[fr.V])
-        first = -0.5 * distance / rules.unit
-        second = -0.1 * speed / rules.speed
-        reached = distance < rules.reach
-        over = far = distance > rules.area
-    weights = rules.weights
-    first, second, third = weights[0] * first, weights[1] * second, weights[2] * -0.05 * change
-    fourth = weights[3] * -FAILURE if far or capsized else 0.0
-    task.terms[0] += first
-    task.terms[1] += second
-    task.terms[2] += third
-    task.terms[3] += fourth
-    task.reward += first + second + third + fourth
-    if rules.kind == DOCK:
-        fifth *= weights[4]
-        task.terms[4] += fifth
-        task.reward += fifth
+    now[EFFORT] = -EFFORT_COST * change
+    now[FAILURE] = -FAILURE_COST if far or capsized else 0.0
     if rules.motion > 0.0:
-        # of the deck point, along the mast
-        lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
-        ahead, side, down = rules.deck[0], rules.deck[1], rules.deck[2]
-        p, q, r = state[fr.P], state[fr.Q], state[fr.R]
-        lift -= ahead * (rate[fr.Q] - p * r)
-        lift += side * (rate[fr.P] + q * r) - down * (p * p + q * q)
-        rough = (state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2
-        k = int(rules.terms)
-        last = -rules.motion * weights[k] * min(rough, MOTION_MOST)
-        task.terms[k] += last
-        task.reward += last
+        now[count] = -rules.motion * _rate_motion(state, rate, rules)
+        count += 1
+    total = 0.0
+    for k in range(count):
+        value = rules.weights[k] * now[k]
+        task.terms[k] += value
+        total += value
+    task.reward += total
     task.success = 1.0 if reached and not capsized else 0.0
-    if over:
+    # a boat stays at a station
+    if far or (reached and rules.kind != STATION):
         task.terminated = 1.0

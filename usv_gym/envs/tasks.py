@@ -12,13 +12,16 @@ import numpy as np
 from usv_gym.envs.scoring import (
     DECK,
     DOCK,
+    DOCK_TERMS,
     MOTION,
     N_TERMS,
     NOTHING,
     PATH,
+    PATH_TERMS,
     REST,
     RULES,
     STATION,
+    STATION_TERMS,
     TASK,
     WEIGHT_MAX,
     TaskError,
@@ -135,7 +138,7 @@ class Task:
     """
 
     kind = NOTHING
-    terms: tuple[str, ...] = ("progress", "cross_track", "effort", "failure")
+    terms: tuple[str, ...] = PATH_TERMS
     """Names of the parts of the reward, eight at most; ``motion`` follows where it has a weight."""
     motion = 0.0
     """Weight of roll and vertical acceleration, unless another one is given."""
@@ -436,7 +439,7 @@ class StationKeeping(Task):
     """
 
     kind = STATION
-    terms = ("distance", "speed", "effort", "failure")
+    terms = STATION_TERMS
     area = 10.0
 
     def ranges(self) -> Ranges:
@@ -461,7 +464,7 @@ class Docking(Task):
     """
 
     kind = DOCK
-    terms = ("distance", "speed", "effort", "failure", "heading")
+    terms = DOCK_TERMS
     legs = 2
 
     def ranges(self) -> Ranges:

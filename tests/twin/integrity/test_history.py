@@ -25,7 +25,7 @@ def history_of(changes) -> HealthHistory:
         for sensor, status, reason in changes.get(t, ()):
             check = monitor.record["sensors"][SENSORS.index(sensor)]
             check["status"], check["reason"], check["since"] = status, reason, t
-        history.take(100.0 + t, 100.0)
+        history.take(100.0 + t, 100.0, {})
     return history
 
 
@@ -46,11 +46,11 @@ def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
 
 def test_channel_that_goes_from_one_trouble_to_another_leaves_two_lines():
     troubles = {}
-    history = HealthHistory(SensorMonitor(PARTICULARS), lambda: troubles)
+    history = HealthHistory(SensorMonitor(PARTICULARS))
     for t in range(10):
         status = "excluded" if t < 6 else "absent"
         troubles = {"wind": SensorStatus(status, t, f"wind is {status}")} if t > 2 else {}
-        history.take(float(t), 0.0)
+        history.take(float(t), 0.0, troubles)
     assert [line.split(" from")[0] for line in history.lines()] == ["wind excluded", "wind absent"]
 
 
@@ -68,7 +68,7 @@ def test_a_sensor_that_comes_and_goes_does_not_fill_the_memory():
     history = HealthHistory(monitor)
     for t in range(2 * KEPT):
         monitor.record["sensors"]["status"] = OK if t % 2 else ABSENT
-        history.take(float(t), 0.0)
+        history.take(float(t), 0.0, {})
     assert 0 < len(history.lines()) <= len(SENSORS) * KEPT / 2
     assert history.at(2.0 * KEPT)["gps"].status == "ok"
 

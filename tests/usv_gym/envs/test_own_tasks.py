@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym.envs.env import USVEnv
-from usv_gym.envs.scoring import ALONGSIDE, FAILURE, TaskError
+from usv_gym.envs.scoring import ALONGSIDE, FAILURE_COST, TaskError
 from usv_gym.envs.tasks import Docking, PathFollowing, Score, Task
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.physics import frames as fr
@@ -228,7 +228,7 @@ def test_a_boat_that_runs_over_its_berth_strikes_the_quay() -> None:
     env = USVEnv(task="docking", sea="0")
     *_, terminated, _, info = at_berth(env, -1.2 * env.task.length, 0.0, 1.0)
     assert terminated and not info["is_success"]
-    assert info["reward_terms"]["failure"] == -FAILURE
+    assert info["reward_terms"]["failure"] == -FAILURE_COST
 
 
 def test_terms_of_docking_are_what_its_class_says() -> None:

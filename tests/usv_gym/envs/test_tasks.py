@@ -15,7 +15,7 @@ from twin.particulars import Deck, Particulars
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, log_of, make_env, make_vector_env
 from usv_gym.envs.episodes import OBSERVATION
-from usv_gym.envs.scoring import FAILURE, TaskError
+from usv_gym.envs.scoring import FAILURE_COST, TaskError
 from usv_gym.envs.tasks import TASKS, make_task
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
@@ -128,8 +128,8 @@ def test_off_the_path_is_a_failure_and_the_end():
         if terminated:
             break
     assert abs(info["cross_track_m"]) > 50.0 and not info["is_success"]
-    assert info["reward_terms"]["failure"] == -FAILURE
-    assert reward < -FAILURE + 1.0
+    assert info["reward_terms"]["failure"] == -FAILURE_COST
+    assert reward < -FAILURE_COST + 1.0
 
 
 def test_a_boat_on_station_succeeds_and_one_that_leaves_fails():
@@ -146,7 +146,7 @@ def test_a_boat_on_station_succeeds_and_one_that_leaves_fails():
     env.simulation.state[0, :2] = point + np.array([0.0, 101.0])
     *_, reward, terminated, _, info = env.step(np.zeros(2))
     assert terminated and not info["is_success"]
-    assert reward < -FAILURE
+    assert reward < -FAILURE_COST
 
 
 def test_success_ends_a_path_without_a_penalty():
