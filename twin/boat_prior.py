@@ -30,7 +30,6 @@ from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import read_toml
 
 __all__ = [
-    "ENVIRONMENT",
     "WIDENED",
     "BoatPrior",
     "BoatPriorError",
@@ -41,12 +40,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FORMAT = "usv-twin prior 1"
-
-ENVIRONMENT = (
-    *("C_north", "C_east", "E_north", "E_east"),
-    *("N_0", "N_cos", "N_sin", "N_cos2", "N_sin2"),
-)
-"""Parameters that are those of wind, current and sea of a day."""
 
 WIDENED = 0.1
 """Part of each value by which load and fouling may change it, as a standard deviation."""

@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.benchmark.protocol import BenchmarkError
 from twin.benchmark.scores import Reference, score
-from twin.boat_prior import ENVIRONMENT
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigator import Navigator
 from twin.integrity.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
+from twin.model.structure import ENVIRONMENT
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Estimate, ParametersInUse, Prediction

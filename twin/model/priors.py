@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.boat_prior import ENVIRONMENT, limited
-from twin.model.structure import MODELS, Structure
+from twin.boat_prior import limited
+from twin.model.structure import ENVIRONMENT, MODELS, Structure
 from twin.particulars import FAST, Particulars
 from usv_kernel.errors import UsvTwinError
 

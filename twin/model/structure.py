@@ -6,8 +6,8 @@ heading, actuators and wind, in the equation of surge, sway or yaw:
     u' = sum of X_k term_k,   v' = sum of Y_k term_k,   r' = sum of N_k term_k
 
 so that the accelerations are linear in the parameters, and one filter serves every structure.
-A new structure is a new list; a new term is one line in :func:`state_terms` (and its slopes in
-:mod:`twin.model.term_slopes`).
+A new structure is a new list in :data:`TERMS`, and a new term a line of it. A new regressor is a
+line in :func:`state_terms`, and one with its slopes in :mod:`twin.model.term_slopes`.
 
 ``paper``
     the 25 parameters of Eq (20)-(21). These differ from the print: sin, not cos, of the angle in
@@ -49,13 +49,16 @@ from usv_kernel.scalar import fma
 __all__ = [
     "BY_CURRENT",
     "CURRENT",
+    "ENVIRONMENT",
     "MODELS",
     "N_STATES",
     "N_TERMS",
+    "TERMS",
     "UNEQUAL_THRUSTERS",
     "ModelTerms",
     "Structure",
     "StructureError",
+    "Term",
     "accelerations",
     "gather",
     "inflow",
@@ -400,108 +403,116 @@ class Structure:
         return {name: (a, b) for name, (a, b) in zip(("surge", "sway", "yaw"), first, strict=True)}
 
 
-# name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
-# An equation "E" is surge and sway together. Source of means:
-# docs/explanation/twin.md, Identifiability; those of `mmg` are the same boat's at nominal speed.
+class Term(NamedTuple):
+    """A parameter of a structure, and what it multiplies in which equation."""
+
+    name: str
+    unit: str
+    equation: str  # X, Y or N; E is surge and sway together, C the velocity of the water in all
+    regressor: int  # U_U ... ASTERN_RACE; term_slopes has its slopes
+    powers: tuple[int, int, int]  # of L, U and n in the natural unit
+    mean: float  # prior mean, in natural units ...
+    sd: float  # ... and its standard deviation
+    group: str = ""  # by which it is left out (:func:`structure_of`), or "environment"
+
+
+# Source of means: docs/explanation/twin.md, Identifiability; those of `mmg` are the same boat's at
+# nominal speed.
 _PAPER = (
-    ("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
-    ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),
-    ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
-    ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03157),
-    ("T_uL", "m/rev2", "X", LEFT_COS, (-1, 2, -2), 0.0814, 0.02612),
-    ("T_uR", "m/rev2", "X", RIGHT_COS, (-1, 2, -2), 0.0814, 0.02612),
-    ("Y_u", "1/s", "Y", U, (-1, 1, 0), 0.0, 0.01173),
-    ("Y_v", "1/s", "Y", V, (-1, 1, 0), -1.044, 0.528),
-    ("Y_r", "m/(s rad)", "Y", R, (0, 1, 0), 0.2167, 0.1481),
-    ("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.901),
-    ("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
-    ("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.07891),
-    ("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.78, 0.2),
-    ("T_vL", "m/rev2", "Y", LEFT_SIN, (-1, 2, -2), -0.1045, 0.06965),
-    ("T_vR", "m/rev2", "Y", RIGHT_SIN, (-1, 2, -2), -0.1045, 0.06965),
-    ("N_u", "rad/(m s)", "N", U, (-2, 1, 0), 0.0, 0.03717),
-    ("N_v", "rad/(m s)", "N", V, (-2, 1, 0), -2.141, 2.23),
-    ("N_r", "1/s", "N", R, (-1, 1, 0), -2.405, 1.173),
-    ("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.014),
-    ("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 6.336),
-    ("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
-    ("N_vvr", "s/m2", "N", VVR, (-1, -1, 0), -6.843, 10.26),
-    ("N_vrr", "s/(m rad)", "N", VRR, (0, -1, 0), 0.0, 2.7),
-    ("T_rL", "rad/rev2", "N", LEFT_SIN, (-2, 2, -2), 0.6068, 0.331),
-    ("T_rR", "rad/rev2", "N", RIGHT_SIN, (-2, 2, -2), 0.6068, 0.331),
+    Term("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
+    Term("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),
+    Term("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
+    Term("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03157),
+    Term("T_uL", "m/rev2", "X", LEFT_COS, (-1, 2, -2), 0.0814, 0.02612),
+    Term("T_uR", "m/rev2", "X", RIGHT_COS, (-1, 2, -2), 0.0814, 0.02612),
+    Term("Y_u", "1/s", "Y", U, (-1, 1, 0), 0.0, 0.01173),
+    Term("Y_v", "1/s", "Y", V, (-1, 1, 0), -1.044, 0.528),
+    Term("Y_r", "m/(s rad)", "Y", R, (0, 1, 0), 0.2167, 0.1481),
+    Term("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.901),
+    Term("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
+    Term("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.07891),
+    Term("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.78, 0.2),
+    Term("T_vL", "m/rev2", "Y", LEFT_SIN, (-1, 2, -2), -0.1045, 0.06965),
+    Term("T_vR", "m/rev2", "Y", RIGHT_SIN, (-1, 2, -2), -0.1045, 0.06965),
+    Term("N_u", "rad/(m s)", "N", U, (-2, 1, 0), 0.0, 0.03717),
+    Term("N_v", "rad/(m s)", "N", V, (-2, 1, 0), -2.141, 2.23),
+    Term("N_r", "1/s", "N", R, (-1, 1, 0), -2.405, 1.173),
+    Term("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.014),
+    Term("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 6.336),
+    Term("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
+    Term("N_vvr", "s/m2", "N", VVR, (-1, -1, 0), -6.843, 10.26),
+    Term("N_vrr", "s/(m rad)", "N", VRR, (0, -1, 0), 0.0, 2.7),
+    Term("T_rL", "rad/rev2", "N", LEFT_SIN, (-2, 2, -2), 0.6068, 0.331),
+    Term("T_rR", "rad/rev2", "N", RIGHT_SIN, (-2, 2, -2), 0.6068, 0.331),
 )
 
 _CURRENT = (
-    ("C_north", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
-    ("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
+    Term("C_north", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD, "environment"),
+    Term("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD, "environment"),
 )
 
-AT_REST = ("Y_v", "N_r")
-"""Damping of a boat that lies still and is turned on the spot, as a fixed pair of thrusters does.
-It was measured on the Otter (yaw: 1 /s), Clearpath's Heron and the WAM-V 16 (sway .2 to .4, yaw .8
-to 1.3 nominal speeds over length).
-
-Source: Fossen 2021, 10.3 (Otter); the simulators of Heron and VRX for the others.
-"""
-
-UNEQUAL_THRUSTERS = ("X_dn", "N_mn")
-"""What unequal thrusters do: the push by their difference, the turning by their mean."""
-
 _BIASES = (
-    ("E_north", "m/s2", "E", COS, (-1, 2, 0), 0.0, 0.0087),
-    ("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087),
+    Term("E_north", "m/s2", "E", COS, (-1, 2, 0), 0.0, 0.0087, "environment"),
+    Term("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087, "environment"),
 )
 
 _MMG = (
-    ("X_u", "1/s", "X", U, (-1, 1, 0), 0.0, 0.1),
-    ("X_u|u|", "1/m", "X", U_U, (-1, 0, 0), -0.19, 0.15),
-    ("X_uuu", "s/m2", "X", UUU, (-1, -1, 0), 0.0, 0.1),
-    ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.15, 0.3),
-    ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
-    ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03),
-    ("X_nn", "1/m", "X", MEAN_COS, (-1, 0, 0), 0.38, 0.12),
-    ("X_dn", "1/m", "X", DIFFERENCE, (-1, 0, 0), 0.0, 0.04),
-    ("X_nu", "1/m", "X", ADVANCE_COS, (-1, 0, 0), -0.19, 0.12),
-    ("X_F", "1/m", "X", FIN_DRAG, (-1, 0, 0), -0.05, 0.1),
-    ("X_w", "1/m", "X", WIND_X, (-1, 0, 0), 0.003, 0.003),
+    Term("X_u", "1/s", "X", U, (-1, 1, 0), 0.0, 0.1),
+    Term("X_u|u|", "1/m", "X", U_U, (-1, 0, 0), -0.19, 0.15),
+    Term("X_uuu", "s/m2", "X", UUU, (-1, -1, 0), 0.0, 0.1),
+    Term("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.15, 0.3),
+    Term("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
+    Term("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03),
+    Term("X_nn", "1/m", "X", MEAN_COS, (-1, 0, 0), 0.38, 0.12),
+    Term("X_dn", "1/m", "X", DIFFERENCE, (-1, 0, 0), 0.0, 0.04, "unequal thrusters"),
+    Term("X_nu", "1/m", "X", ADVANCE_COS, (-1, 0, 0), -0.19, 0.12),
+    Term("X_F", "1/m", "X", FIN_DRAG, (-1, 0, 0), -0.05, 0.1),
+    Term("X_w", "1/m", "X", WIND_X, (-1, 0, 0), 0.003, 0.003),
     *_BIASES,
-    ("Y_v", "1/s", "Y", V, (-1, 1, 0), -0.2, 0.2),
-    ("Y_|u|v", "1/m", "Y", AU_V, (-1, 0, 0), -1.044, 0.528),
-    ("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.56, 0.25),
-    ("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.9),
-    ("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
-    ("Y_|v|r", "1/rad", "Y", AV_R, (0, 0, 0), 0.0, 1.0),
-    ("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.079),
-    ("Y_nn", "1/m", "Y", MEAN_SIN, (-1, 0, 0), -0.15, 0.12),
-    ("Y_nu", "1/m", "Y", ADVANCE_SIN, (-1, 0, 0), 0.0, 0.08),
-    ("Y_F", "1/m", "Y", FIN_LIFT, (-1, 0, 0), -0.06, 0.15),
-    ("Y_S", "1/m", "Y", FIN_SIDE, (-1, 0, 0), 0.0, 0.06),
-    ("Y_w", "1/m", "Y", WIND_Y, (-1, 0, 0), 0.006, 0.006),
-    ("N_uv", "rad/m2", "N", UV, (-2, 0, 0), -1.5, 2.2),
-    ("N_r", "1/s", "N", R, (-1, 1, 0), -1.0, 1.0),
-    ("N_|u|r", "1/m", "N", AU_R, (-1, 0, 0), -2.4, 1.2),
-    ("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.0),
-    ("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 4.0),
-    ("N_|v|r", "1/m", "N", AV_R, (-1, 0, 0), -1.0, 4.0),
-    ("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
-    ("N_nn", "rad/m2", "N", MEAN_SIN, (-2, 0, 0), 0.8, 0.6),
-    ("N_nu", "rad/m2", "N", ADVANCE_SIN, (-2, 0, 0), 0.0, 0.4),
-    ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
-    ("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3),
-    ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.3, 0.2),
-    ("N_mn", "rad/m2", "N", MEAN_COS, (-2, 0, 0), 0.0, 0.01),
-    ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
-    ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
-    ("N_cos", "rad/s2", "N", COS, (-2, 2, 0), 0.0, 0.01),
-    ("N_sin", "rad/s2", "N", SIN, (-2, 2, 0), 0.0, 0.01),
-    ("N_cos2", "rad/s2", "N", COS_TWICE, (-2, 2, 0), 0.0, 0.012),
-    ("N_sin2", "rad/s2", "N", SIN_TWICE, (-2, 2, 0), 0.0, 0.012),
+    Term("Y_v", "1/s", "Y", V, (-1, 1, 0), -0.2, 0.2, "at rest"),
+    Term("Y_|u|v", "1/m", "Y", AU_V, (-1, 0, 0), -1.044, 0.528),
+    Term("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.56, 0.25),
+    Term("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.9),
+    Term("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
+    Term("Y_|v|r", "1/rad", "Y", AV_R, (0, 0, 0), 0.0, 1.0),
+    Term("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.079),
+    Term("Y_nn", "1/m", "Y", MEAN_SIN, (-1, 0, 0), -0.15, 0.12),
+    Term("Y_nu", "1/m", "Y", ADVANCE_SIN, (-1, 0, 0), 0.0, 0.08),
+    Term("Y_F", "1/m", "Y", FIN_LIFT, (-1, 0, 0), -0.06, 0.15),
+    Term("Y_S", "1/m", "Y", FIN_SIDE, (-1, 0, 0), 0.0, 0.06, "one rudder"),
+    Term("Y_w", "1/m", "Y", WIND_Y, (-1, 0, 0), 0.006, 0.006),
+    Term("N_uv", "rad/m2", "N", UV, (-2, 0, 0), -1.5, 2.2),
+    Term("N_r", "1/s", "N", R, (-1, 1, 0), -1.0, 1.0, "at rest"),
+    Term("N_|u|r", "1/m", "N", AU_R, (-1, 0, 0), -2.4, 1.2),
+    Term("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.0),
+    Term("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 4.0),
+    Term("N_|v|r", "1/m", "N", AV_R, (-1, 0, 0), -1.0, 4.0),
+    Term("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
+    Term("N_nn", "rad/m2", "N", MEAN_SIN, (-2, 0, 0), 0.8, 0.6),
+    Term("N_nu", "rad/m2", "N", ADVANCE_SIN, (-2, 0, 0), 0.0, 0.4),
+    Term("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
+    Term("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3, "one rudder"),
+    Term("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.3, 0.2),
+    Term("N_mn", "rad/m2", "N", MEAN_COS, (-2, 0, 0), 0.0, 0.01, "unequal thrusters"),
+    Term("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
+    Term("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01, "environment"),
+    Term("N_cos", "rad/s2", "N", COS, (-2, 2, 0), 0.0, 0.01, "environment"),
+    Term("N_sin", "rad/s2", "N", SIN, (-2, 2, 0), 0.0, 0.01, "environment"),
+    Term("N_cos2", "rad/s2", "N", COS_TWICE, (-2, 2, 0), 0.0, 0.012, "environment"),
+    Term("N_sin2", "rad/s2", "N", SIN_TWICE, (-2, 2, 0), 0.0, 0.012, "environment"),
 )
 
-_TABLES = {"paper": _PAPER, "mmg": _MMG}
+TERMS = {"paper": _PAPER, "mmg": _MMG}
+"""Terms by the name of a structure: surge, both, sway, yaw. One more is one line more."""
 
-MODELS = tuple(_TABLES)
+MODELS = tuple(TERMS)
 """Names of the structures."""
+
+UNEQUAL_THRUSTERS = tuple(term.name for term in _MMG if term.group == "unequal thrusters")
+"""What unequal thrusters do: the push by their difference, the turning by their mean."""
+
+ENVIRONMENT = tuple(term.name for term in (*_CURRENT, *_MMG) if term.group == "environment")
+"""Parameters that are those of wind, current and sea of a day."""
 
 # A pair of fixed propellers .2 L off the middle turns a boat whose radius of gyration is .25 L. It
 # has no angle, so no side force. Their thrusts are equal within 15 %.
@@ -564,47 +575,50 @@ def structure_of(
     StructureError
         Lists the names that there are.
     """
-    if name not in _TABLES:
+    if name not in TERMS:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
-    left_out: tuple[str, ...] = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
-    if name == "mmg" and not differential:
-        left_out += AT_REST
-    rows = [row for row in _TABLES[name] if row[0] not in left_out]
-    if biased and _BIASES[0] not in rows:
-        sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
-        rows[sway:sway] = _BIASES
-    if current:
-        sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
-        rows[sway:sway] = _CURRENT
+    left_out = {"unequal thrusters" if tanker else "one rudder"}
+    if not differential:
+        # Damping of a boat that lies still and is turned on the spot, as a fixed pair of thrusters
+        # does. It was measured on the Otter (yaw: 1 /s), Clearpath's Heron and the WAM-V 16 (sway
+        # .2 to .4, yaw .8 to 1.3 nominal speeds over length). Source: Fossen 2021, 10.3 (Otter);
+        # the simulators of Heron and VRX for the others.
+        left_out.add("at rest")
+    terms = [term for term in TERMS[name] if term.group not in left_out]
+    sway = next(i for i, term in enumerate(terms) if term.equation == "Y")
+    terms[sway:sway] = (
+        *(_BIASES if biased and _BIASES[0] not in terms else ()),
+        *(_CURRENT if current else ()),
+    )
     special = _DIFFERENTIAL if differential else _TANKER if tanker else {}
-    rows = [
-        (*row[:3], known[0], row[4], *known[1:]) if (known := special.get(row[0])) else row
-        for row in rows
-    ]
-    equations = [row[2] for row in rows]
+    for k, term in enumerate(terms):
+        if term.name in special:
+            regressor, mean, sd = special[term.name]
+            terms[k] = term._replace(regressor=regressor, mean=mean, sd=sd)
+    equations = [term.equation for term in terms]
     limits = np.full((N_STATES, 2), N_STATES, dtype=np.int64)
-    which = np.full((3, len(rows)), _ZERO, dtype=np.uint64)
+    which = np.full((3, len(terms)), _ZERO, dtype=np.uint64)
     for i, members in enumerate(("XEC", "ECY", "CN")):
         columns = [k for k, equation in enumerate(equations) if equation in members]
         limits[3 + i] += (columns[0], columns[-1] + 1)
-        which[i, columns] = [rows[k][3] for k in columns]
+        which[i, columns] = [terms[k].regressor for k in columns]
         if current:
             at = equations.index("C")
             which[i, at : at + 2] = BY_CURRENT + 2 * i, BY_CURRENT + 2 * i + 1
-    for k, row in enumerate(rows):
-        if row[2] == "E":  # east and north as seen to starboard
-            which[1, k] = MINUS_SIN if row[3] == COS else COS
+    for k, term in enumerate(terms):
+        if term.equation == "E":  # east and north as seen to starboard
+            which[1, k] = MINUS_SIN if term.regressor == COS else COS
     mixed = name == "mmg"
     heading = float("E" in equations or mixed or current)
     water = float(equations.index("C")) if current else -1.0
-    sd, current_sd = np.array([row[6] for row in rows]), min(CURRENT_SD, CURRENT_SHARE * speed)
-    scales = np.prod(
-        np.array([length, speed, shaft_speed]) ** np.array([row[4] for row in rows], float), axis=1
-    )
+    natural = np.array([length, speed, shaft_speed])
+    scales = np.prod(natural ** np.array([term.powers for term in terms], float), axis=1)
+    sd = scales * np.array([term.sd for term in terms])
+    sd[np.array(equations) == "C"] = min(CURRENT_SD, CURRENT_SHARE * speed)
     return Structure(
         name=name,
-        parameters=tuple(row[0] for row in rows),
-        units=tuple(row[1] for row in rows),
+        parameters=tuple(term.name for term in terms),
+        units=tuple(term.unit for term in terms),
         scales=scales,
         terms=ModelTerms(
             which,
@@ -613,6 +627,6 @@ def structure_of(
         ),
         # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,
-        mean=scales * np.array([row[5] for row in rows]),
-        sd=np.where(np.array(equations) == "C", current_sd, scales * sd),
+        mean=scales * np.array([term.mean for term in terms]),
+        sd=sd,
     )

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.boat_prior import ENVIRONMENT, SAME_BOAT, BoatPrior, BoatPriorError, combine
+from twin.boat_prior import SAME_BOAT, BoatPrior, BoatPriorError, combine
 from twin.model.priors import takes
-from twin.model.structure import N_STATES
+from twin.model.structure import ENVIRONMENT, N_STATES
 from twin.predictors.base import Predictor
 from twin.predictors.ukf import ModelPredictor, UKFPredictor
 

@@ -9,19 +9,25 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from twin import Twin
 from twin.model.priors import scaled_prior
 from twin.model.structure import (
     LEFT_COS,
     MODELS,
     N_STATES,
     N_TERMS,
+    ONE,
+    TERMS,
     Structure,
+    Term,
     accelerations,
     state_terms,
     structure_of,
     thrust_terms,
 )
 from twin.model.term_slopes import term_slopes
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33
 CALM = np.zeros(2)
@@ -344,3 +350,24 @@ def test_a_scaled_prior_does_not_explain_thrust_of_the_wrong_sign() -> None:
     wrong = np.where([name == "X_nn" for name in model.parameters], -9.0, 1.0) * model.mean
     mean, sd = scaled_prior(model.parameters, model.mean, model.sd, wrong)[1:]
     assert (np.abs(wrong - mean) > 4.0 * np.where(sd > 0.0, sd, np.inf)).any()
+
+
+def test_a_line_of_the_table_is_a_new_term_that_a_twin_estimates(monkeypatch) -> None:
+    line = Term("X_0", "m/s2", "X", ONE, (-1, 2, 0), 0.3, 0.3)
+    plain = structure_of("mmg", LENGTH, SPEED, SHAFT)
+    monkeypatch.setitem(TERMS, "mmg", (line, *TERMS["mmg"]))
+    model, natural = structure_of("mmg", LENGTH, SPEED, SHAFT), SPEED**2 / LENGTH
+    assert model.parameters == ("X_0", *plain.parameters)
+    np.testing.assert_allclose((model.mean[0], model.sd[0]), 0.3 * natural)
+    terms = terms_of(model, (4.0, -0.5, 0.2), 0.8, CALM, (5.0, 6.0, 0.1, 0.3))
+    alone = accelerations(terms, model.terms, np.eye(len(model))[0], 0)
+    np.testing.assert_allclose(alone, (1.0, 0.0, 0.0), rtol=1e-12)
+    # no boat is pushed when nothing drives it: the estimate leaves the prior, and is surer
+    vessel = Vessel.load("otter")
+    log = simulate("zigzag", vessel=vessel, sea=SeaState(), duration=60.0, seed=0)
+    twin = Twin(particulars_of(vessel), "ukf:model=mmg")
+    twin.run(log)
+    estimate, at = twin.predictor.estimate(), twin.predictor.parameter_names.index("X_0")
+    before = twin.predictor.ukf.settings
+    assert estimate.params_sd[at] < 0.9 * math.sqrt(before.xi0_cov[at, at])
+    assert abs(estimate.params[at]) < before.xi0[at]
