@@ -11,10 +11,12 @@ import subprocess
 import sys
 import types
 from pathlib import Path
+from types import SimpleNamespace
 
 import numba
 import numpy as np
 import pytest
+from numba.core.compiler import DefaultPassBuilder, Flags
 
 import usv_kernel
 from usv_kernel import cache, compiler, jit, warmup
@@ -127,6 +129,14 @@ def test_every_import_of_the_packages_is_followed() -> None:
             files = [one.with_suffix(".py") for one in ours] + [o / "__init__.py" for o in ours]
             found = {one.relative_to(ROOT).as_posix() for one in files if one.is_file()}
             assert found <= followed, f"{path.name}, line {node.lineno}"
+
+
+def test_numba_has_what_the_compiler_of_kernels_needs() -> None:
+    assert compiler._PARTS and compiler._FILES
+    passes = DefaultPassBuilder.define_nopython_pipeline(
+        SimpleNamespace(func_ir=None, flags=Flags())
+    )
+    assert {one.name() for one, _ in passes.passes} >= compiler._UNUSED
 
 
 def test_a_digest_stays_when_it_is_asked_for_again() -> None:
