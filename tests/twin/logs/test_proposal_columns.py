@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from twin.channels import MEASUREMENTS
 from twin.cli.main import app
+from twin.integrity.log_check import check_log
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.proposal.header_words import other_side
@@ -97,6 +99,46 @@ def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[s
     assert "left out" not in text and "2000 us is taken as 0.5 rad" in text
     assert log.cmd[:, 0] == pytest.approx(0.02 * 0.1 * shaft, abs=1e-6)
     assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(angle), abs=1e-6)
+
+
+def skid_boat() -> Columns:
+    """Return the boat with two columns that are mixed into its thrusters."""
+    columns = boat()
+    left, right = columns.pop("rpm_left") / 60.0, columns.pop("rpm_right") / 60.0
+    columns["steering_pwm"] = 1500.0 + 25.0 * (left - right)
+    columns["throttle_pwm"] = 1500.0 + 25.0 * (left + right)
+    return columns
+
+
+def test_throttle_and_steering_of_two_thrusters_are_mixed(tmp_path: Path) -> None:
+    """What is asked can be pasted: left is throttle plus steering, right throttle minus it."""
+    path = write(tmp_path / "a.csv", skid_boat())
+    text, log = mapped(path)
+    assert np.ptp(log.cmd[:, 2]) > 0.0
+    lines = re.findall(r"(throttle|steering) = (\{[^}]*\})", text)
+    assert {name for name, _ in lines} == {"throttle", "steering"}
+    mapping = tmp_path / "a.mapping.toml"
+    kept = [line for line in mapping.read_text().split("\n") if line[:5] not in ("n_rps", "delta")]
+    table = [f"{name} = {value}" for name, value in dict(lines).items()]
+    mapping.write_text("\n".join([*kept, "[skid_steering]", *table]))
+    log, truth = Log.read(path), boat()
+    for side, name in enumerate(("rpm_left", "rpm_right")):
+        assert log.cmd[:, side] == pytest.approx(truth[name] / 60.0, abs=1e-6)
+    assert not log.cmd[:, 2:].any()
+    found = check_log(path)
+    assert not any(finding.severity == "error" for finding in found.findings)
+
+
+def test_one_column_of_both_shafts_has_no_wrong_side(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", skid_boat())
+    mapped(path)
+    assert {finding.sensor for finding in check_log(path).findings}.isdisjoint(("left", "right"))
+
+
+def test_a_boat_with_a_rudder_is_not_asked_for_two_thrusters(tmp_path: Path) -> None:
+    columns = renamed(boat(), rpm_left="shaft_rpm", rpm_right="rudder_deg")
+    columns["rudder_deg"] = 0.01 * columns["rudder_deg"]
+    assert "skid" not in mapped(write(tmp_path / "a.csv", columns))[0]
 
 
 PAIRS = [

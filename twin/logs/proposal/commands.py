@@ -18,15 +18,19 @@ from twin.logs.proposal.header_words import (
     unit_of,
     words_of,
 )
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, is_pulses, known, put
+from twin.logs.proposal.sheet import Columns, Proposal, add_line, entry, is_pulses, known, put
 
 __all__ = ["find_commands", "find_pulses"]
 
 _LACKING = "n_left_rps, n_right_rps (or n_rps)"
 
+_PULSES = "scale = 0.02, offset = -30.0"
+"""Of pulse widths, us: 0 at 1500, 10 at 2000."""
+
 
 def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> None:
     """Find shaft speeds and steering angles, of one unit or two; ``given`` ones are known."""
+    alone = []
     for is_named, single, pair, convert in (
         (is_shaft, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
         (is_steering, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
@@ -40,6 +44,7 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
                 convert(target, source, columns, found)
         elif there:
             convert(single, there[0], columns, found)
+            alone.append(there[0])
             if len(there) > 1:
                 found.questions.append(
                     f"{', '.join(there)}: {single} is taken from {there[0]} alone; if two of them "
@@ -50,6 +55,17 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
             add_line(found, "columns", line)
         else:
             found.missing.append(_LACKING)
+    pulses = [is_pulses(columns.numbers[name]) for name in alone]
+    if len(alone) == 2 and pulses[0] == pulses[1] and means(alone[1], NAMES["steering"]):
+        more = _PULSES if pulses[0] else ""
+        lines = " and ".join(
+            entry(key, name, "", more)
+            for key, name in zip(("throttle", "steering"), alone, strict=True)
+        )
+        found.questions.append(
+            f"{', '.join(alone)}: of one rudder or drive? A boat that steers by two thrusters has "
+            f"[skid_steering] with {lines}, in place of n_rps and delta_rad"
+        )
 
 
 def _sides(
@@ -113,8 +129,7 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
     values, words = known(columns.numbers[name]), words_of(name)
     most = float(np.abs(values).max(initial=0.0))
     if is_pulses(values) and "rpm" not in words:
-        more = "scale = 0.02, offset = -30.0"
-        put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
+        put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
     elif "rpm" in words or most > 150.0:
         if "rpm" not in words:
             found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")

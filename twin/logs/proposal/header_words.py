@@ -54,6 +54,7 @@ NAMES = {
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
     "to_east": r"ve|vele|veast|veleast|velocityeast|vy|vely",
+    "steering": r"steer|steering|turn|yaw",
     "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+",
     "wind_speed": r"tws|windspeed",
     "wind_from": r"twd|winddirection|winddir|windfrom",
