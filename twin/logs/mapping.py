@@ -6,7 +6,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times,
                                                     # format = "%d/%m/%Y %I:%M:%S %p" unless ISO
                                                     # from = ["date", "time"] of two columns;
-                                                    # zone = "+02:00" of a clock not in UTC
+                                                    # zone = "+02:00" or "Europe/Oslo", if not UTC
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
     wind_mps = { from = "TWS", unit = "kn", offset = 0.0, empty = [-999] }  # no values
@@ -66,7 +66,6 @@ from __future__ import annotations
 import difflib
 import functools
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
@@ -78,6 +77,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
+from twin.logs.dates import ahead_of_utc
 from twin.logs.datum import FIXES, Datum, Plane, from_minutes, in_minutes
 from twin.logs.errors import LogError
 from usv_kernel.channels import WIND_CHANNELS
@@ -361,16 +361,16 @@ class _Parser:
 
         return convert
 
-    def zone(self, name: str, text: str, allowed: bool) -> float:
-        """Return by how much a clock is ahead of UTC, s."""
-        if not text:
-            return 0.0
-        if not allowed:
+    def zone(self, name: str, text: str, allowed: bool) -> str:
+        """Return the zone of a clock, if it is one."""
+        if text and not allowed:
             raise self.fail(name, "zone is for dates that have none of their own")
-        found = re.fullmatch(r"([+-])(\d\d):?([0-5]\d)", text)
-        if found is None or int(found[2]) > 14:
-            raise self.fail(name, f'zone = {text!r} must be hours and minutes, such as "+02:00"')
-        return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3]))
+        if text:
+            try:
+                ahead_of_utc(text)
+            except LogError as error:
+                raise self.fail(name, str(error)) from None
+        return text
 
     def position(self, given: Any) -> Entry:
         keys = ("topic", "latitude", "longitude", "unit", "scale", "datum")
