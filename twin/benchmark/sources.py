@@ -9,6 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
+from modulefinder import ModuleFinder
 from pathlib import Path
 
 from twin.predictors.base import Predictor
@@ -44,9 +45,10 @@ def _version(distribution: str) -> str:
 def predictor_digest(name: str) -> str:
     """Return a hash of a foreign predictor's files; empty for a predictor of this package.
 
-    The files are the modules of the class and of its bases, and those that
-    :attr:`~twin.predictors.base.Predictor.files` of each names. A class without a module file, as
-    in a notebook, has another hash at each call: nobody can say whether it has changed.
+    The files are the modules of the class and of its bases, what the class's module imports from
+    its folder, and those that :attr:`~twin.predictors.base.Predictor.files` of each names. A class
+    without a module file, as in a notebook, has another hash at each call: nobody can say whether
+    it has changed.
 
     Parameters
     ----------
@@ -65,9 +67,28 @@ def predictor_digest(name: str) -> str:
     for base in foreign:
         module = getattr(sys.modules.get(base.__module__), "__file__", None)
         value.update(Path(module).read_bytes() if module else str(time.time_ns()).encode())
-        for path in _named_files(base, Path(module).parent if module else Path.cwd()):
+        files = [*_named_files(base, Path(module).parent if module else Path.cwd())]
+        if base is foreign[0] and module:
+            files += _imported_files(base.__module__, Path(module))
+        for path in files:
             value.update(path.name.encode() + b"\0" + path.read_bytes())
     return value.hexdigest()
+
+
+@functools.cache
+def _installed() -> frozenset[str]:
+    """Return the names of the modules of installed packages, and of this program."""
+    return frozenset({*importlib.metadata.packages_distributions(), *PACKAGES})
+
+
+def _imported_files(module: str, path: Path) -> list[Path]:
+    """Return the files of a module and of those that it imports from beside it or its package."""
+    top, *inside = module.split(".")
+    root = path.parents[len(inside) + (path.name == "__init__.py")]
+    finder = ModuleFinder([str(root)], excludes=_installed() - {top})
+    finder.import_hook(module)
+    found = (getattr(each, "__file__", None) for each in finder.modules.values())
+    return sorted(Path(file) for file in found if file)
 
 
 def _is_foreign(kind: type) -> bool:

@@ -56,6 +56,31 @@ def test_an_edit_of_a_named_file_changes_the_hash(yard, name, counts):
     assert (predictor_digest(NAME) != before) is counts
 
 
+@pytest.mark.parametrize("name", ["helper.py", "nets/__init__.py", "nets/deep.py", "late.py"])
+def test_an_edit_of_an_imported_module_beside_it_changes_the_hash(yard, name):
+    """Also of one that another one imports, that a method imports, or of a package."""
+    (yard / "nets").mkdir()
+    files = {
+        "helper.py": "import nets.deep",
+        "nets/__init__.py": "",
+        "nets/deep.py": "from . import b",
+    }
+    files |= {"nets/b.py": "x = 1", "late.py": "", "plot.py": "", "numpy_notes.py": ""}
+    for each, text in files.items():
+        (yard / each).write_text(text)
+    late = (
+        "    def estimate(self):\n        import late, numpy\n        return super().estimate()\n"
+    )
+    (yard / "yard_predict.py").write_text(f"import helper\n{MAIN}{late}")
+    before = predictor_digest(NAME)
+    (yard / "plot.py").write_text("a script that it does not import")
+    assert predictor_digest(NAME) == before
+    (yard / name).write_text("x = 2")
+    assert predictor_digest(NAME) != before
+    for each in ("helper", "nets", "nets.deep", "nets.b"):
+        sys.modules.pop(each, None)
+
+
 def test_a_result_is_computed_again_after_an_edit(yard, tmp_path):
     settings = Settings(
         scenarios=("turn",),
