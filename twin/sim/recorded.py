@@ -11,6 +11,7 @@ from twin.digital_twin import Twin, TwinError
 from twin.logs.autopilot.outputs import particulars_of_parameters
 from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
 from twin.logs.datasets import known_ship
+from twin.logs.errors import LogError
 from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
@@ -19,7 +20,7 @@ from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
 from usv_gym.vessel.vessel import Vessel, vessel_names
-from usv_kernel.files import TOML_MAX, read_limited
+from usv_kernel.files import read_toml
 
 __all__ = [
     "has_particulars",
@@ -75,10 +76,16 @@ def particulars_for_log(
         raise ParticularsError(
             _NO_PARTICULARS.format(path=path, options=options, file=target, names=names)
         )
-    ship = str(file) if ship is None else ship
-    text = _text(ship) if Path(ship).suffix == ".toml" else ""
-    of_boat = "[[ship]]" in text or "[particulars]" in text or ship == str(file)
-    if of_boat and "[hull]" not in text:
+    beside, ship = ship is None, str(file) if ship is None else ship
+    tables = _tables_of(ship) if Path(ship).suffix == ".toml" else set[str]()
+    if beside and tables and tables.isdisjoint(_BOAT):
+        try:
+            Layout.load(file)
+            kind = f"a mapping: call it {sibling_path(path, '.mapping.toml').name}"
+        except LogError:
+            kind = f"neither, but has {', '.join(sorted(tables))}: give it another name"
+        raise ParticularsError(_OTHER_FILE.format(file=file, path=path, kind=kind))
+    if "hull" not in tables and (beside or tables & {"particulars", "ship"}):
         return Particulars.load(ship, log=path)
     vessel = Vessel.load(ship)
     if not is_autopilot_log(Path(path)):
@@ -145,8 +152,17 @@ _NO_PARTICULARS = (
 )
 
 
-def _text(path: str) -> str:
+_BOAT = ("particulars", "instruments", "deck", "ship", "hull")
+"""Tables of a file that describes a boat."""
+
+_OTHER_FILE = (
+    "{file}: has the name of {path}, and so should hold the particulars of its boat, or a vessel. "
+    "It is {kind}, or name the boat with --ship"
+)
+
+
+def _tables_of(path: str) -> set[str]:
     try:
-        return read_limited(Path(path), ParticularsError, TOML_MAX).decode("utf-8", "replace")
+        return {*read_toml(path, ParticularsError)}
     except ParticularsError:
-        return ""  # whoever reads it says why
+        return set()  # whoever reads it says why
