@@ -106,7 +106,8 @@ def _ahead(zone: str, quarter: float) -> float:
 
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|[+-]\d{2}(?::?\d{2})?|[A-Z]{2,5})?$"
+    r"(?:\s*(?P<half>[AaPp]\.?[Mm]\.?))?(?P<gap>\s*)"
+    r"(?P<zone>Z|(?:UTC|GMT)?[+-]\d{2}(?::?\d{2})?|[A-Z]{2,5}|[A-Z][a-z]+/[A-Za-z_/]+)?$"
 )
 
 _COMPACT = re.compile(r"^(\d{8}|\d{6})([ T]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
@@ -415,7 +416,7 @@ def _candidates(text: str) -> list[DateFormat]:
         return [DateFormat(day + clock)]
     if re.match(r"^\d{6}(\.\d+)?$", text):
         return [DateFormat("%H%M%S%.f")]
-    if year := re.search(r":\d\d(\D*)( \d{4})$", text):  # of C: the year comes last
+    if year := re.search(r":\d\d(?:\.\d+)?(\D*)( \d{4})$", text):  # of C: the year comes last
         start, zone = text[: year.start(1)], year[1]
         start = f"{start[: start.index(':') - 2].rstrip()}{year[2]}{start[start.index(':') - 3 :]}"
         found = _candidates(start + zone)
@@ -438,11 +439,10 @@ def _candidates(text: str) -> list[DateFormat]:
         tail = text[match.start() :]
         if match["half"]:
             clock += (" " if re.search(r"\s[AaPp]", tail) else "") + "%p"
-        if match["zone"]:
-            named = match["zone"].isalpha() and match["zone"] != "Z"
-            space = " " if re.search(r"\s(Z|[+-]|[A-Z]+$)", tail[len(match["hour"]) :]) else ""
-            clock += space + (match["zone"] if named else "%#z")
-            zone = match["zone"] if named and ZONES.get(match["zone"]) != "+00:00" else ""
+        if name := match["zone"]:
+            ahead = re.search(r"^Z$|[+-].*", name)
+            clock += match["gap"][:1] + (name[: ahead.start()] + "%#z" if ahead else name)
+            zone = "" if ahead or ZONES.get(name) == "+00:00" else name
     return [DateFormat(form + clock, order, zone) for form, order in _days(day)]
 
 

@@ -66,6 +66,7 @@ from __future__ import annotations
 import difflib
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
@@ -309,7 +310,9 @@ class _Parser:
         form = self.text(name, table, "format", "")
         if form and not clock:
             raise self.fail(name, 'format is for unit = "datetime"')
-        zone = self.zone(name, self.text(name, table, "zone", ""), clock and "z" not in form)
+        zone = self.zone(
+            name, self.text(name, table, "zone", ""), clock and not re.search("%[:#]?z", form)
+        )
         frame = table.get("frame", "ned")
         if frame != "ned":
             if frame != "enu" or name not in _ENU:

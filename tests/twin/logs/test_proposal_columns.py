@@ -87,7 +87,8 @@ def test_a_yaw_rate_is_no_heading(tmp_path: Path, name: str) -> None:
             ("Steering", "Throttle"),
             ("rudder servo", "motor pwm"),
         ),
-        *(("servo_helm", "esc"), ("delta_us", "pwm")),
+        *(("servo_helm", "esc"), ("delta_us", "pwm"), ("str_out", "thr_out"), ("Lenkung", "Gas")),
+        *(("Ruderlage", "Gashebel"), ("timón", "acelerador"), ("barre", "moteur")),
     ],
 )
 def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[str, str]) -> None:
@@ -150,6 +151,53 @@ PAIRS = [
     ("esc0", "esc1"),
     ("thruster_0_rpm", "thruster_1_rpm"),
 ]
+
+SIDED = [
+    *(("motor_bb", "motor_sb"), ("esc_lf", "esc_rt"), ("moteur_bâbord", "moteur_tribord")),
+    *(("motore_sinistra", "motore_destra"), ("gauche", "droite"), ("thr_lh", "thr_rh")),
+]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("pair", SIDED)
+def test_sides_in_other_words_are_known(
+    tmp_path: Path, pair: tuple[str, str], reverse: bool
+) -> None:
+    columns = boat()
+    both = dict(zip(pair, (columns.pop("rpm_left"), columns.pop("rpm_right")), strict=True))
+    columns |= dict(reversed(both.items())) if reverse else both
+    _, log = mapped(write(tmp_path / "a.csv", columns))
+    truth = boat()
+    for side, name in enumerate(("rpm_left", "rpm_right")):
+        assert log.cmd[:, side] == pytest.approx(truth[name] / 60.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("names", [("Breite", "Länge"), ("latitud", "longitud")])
+def test_places_in_other_languages_are_known(tmp_path: Path, names: tuple[str, str]) -> None:
+    columns = renamed(boat(), lat=names[0], lon=names[1])
+    _, log = mapped(write(tmp_path / "a.csv", columns))
+    assert log.datum is not None and log.datum.latitude == pytest.approx(LATITUDE, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("Steering (%)", 60.0), ("rudder", 12.0), ("rudder", 0.4), ("p", 2.0), ("gyro_x", 0.1)],
+)
+def test_a_unit_that_the_values_leave_open_is_asked(
+    tmp_path: Path, name: str, values: float
+) -> None:
+    columns = boat()
+    columns[name] = values * np.sin(0.1 * columns["time_s"])
+    found = propose(write(tmp_path / "a.csv", columns))
+    assert any(text.startswith(f"{name}: deg") and "taken" in text for text in found.questions)
+
+
+@pytest.mark.parametrize("name", ["TWS", "TWD", "AWS", "AWA"])
+def test_marks_of_wind_are_no_values(tmp_path: Path, name: str) -> None:
+    columns = boat()
+    columns[name] = np.where(np.arange(ROWS) % 9, 5.0 + np.sin(columns["time_s"]), -9999.0)
+    found = propose(write(tmp_path / "a.csv", columns))
+    assert any("empty = [-9999]" in line for line in found.lines["columns"])
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -244,6 +292,8 @@ CELLS: list[Callable[[float, str], str]] = [
     lambda size, side: f"{int(size)}° {size % 1.0 * 60.0:.8f}' {side}",
     lambda size, side: f"{int(size) - 1} 60 {size % 1.0 * 3600.0:.6f} {side}",
     lambda size, side: f"{100 * int(size) + size % 1.0 * 60.0:.8f}{side[0]}",
+    lambda size, side: f"{int(size) - 1}-60-{size % 1.0 * 3600.0:.6f}{side}",
+    lambda size, side: f"{side[0]} {int(size)}:{size % 1.0 * 60.0:.8f}",
 ]
 
 
@@ -335,7 +385,7 @@ def proposed(path: Path) -> tuple[str, Log]:
     return " ".join(result.output.split()), Log.read(path)
 
 
-@pytest.mark.parametrize("mark", ["0", "65535"])
+@pytest.mark.parametrize("mark", ["0", "65535", "-1"])
 @pytest.mark.parametrize("rows", [range(60), range(200, 260), range(5, 600, 50)])
 def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: range) -> None:
     path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k in rows else str(1700 + k % 7))

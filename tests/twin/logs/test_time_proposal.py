@@ -125,10 +125,12 @@ def test_an_ambiguous_zone_asks(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "-05:00" in result.output
 
 
-@pytest.mark.parametrize("head", ["Time (CEST)", "DateTime UTC+2", "Ortszeit", "time (Oslo)"])
+@pytest.mark.parametrize(
+    "head", ["Time (CEST)", "DateTime UTC+2", "Time_CEST", "Ortszeit", "time (Oslo)"]
+)
 def test_a_zone_in_the_header_or_asked_for_is_written_and_used(tmp_path: Path, head: str) -> None:
     path = write(tmp_path / "run.csv", head, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
-    told = head in ("Time (CEST)", "DateTime UTC+2")
+    told = head in ("Time (CEST)", "DateTime UTC+2", "Time_CEST")
     assert told or any("--zone" in question for question in propose(path).questions)
     log = mapped(path, *(() if told else ("--zone", "+02:00")))
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 7200.0)
@@ -153,6 +155,19 @@ def test_a_zone_may_be_bare_hours_or_a_place(tmp_path: Path, option: str, ahead:
     """Those of a place are of its time of the year: in April summer time."""
     path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
     log = mapped(path, f"--zone={option}")
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - ahead)
+
+
+@pytest.mark.parametrize(
+    ("cell", "ahead"),
+    [
+        *(("Europe/Zurich", 7200.0), ("America/Argentina/Ushuaia", -10800.0), ("MESZ", 7200.0)),
+        *(("UTC+02:00", 7200.0), ("GMT-0330", -12600.0), ("UTC", 0.0), ("Z", 0.0)),
+    ],
+)
+def test_a_zone_in_the_cells_is_read(tmp_path: Path, cell: str, ahead: float) -> None:
+    path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} {cell}")
+    log = mapped(path)
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - ahead)
 
 
@@ -233,6 +248,7 @@ def test_each_month_is_read(language: str) -> None:
 
 
 def test_the_dates_of_c_have_the_year_last() -> None:
+    assert date_formats(["Fri Apr 05 11:58:00.25 2024"])[0].format == "%a %b %d %H:%M:%S%.f %Y"
     texts = ["Fri Apr  5 11:58:00 2024", "Fri Apr  5 11:58:01 2024"]
     (form,) = date_formats(texts)
     assert dates(texts, form.format).tolist() == [EPOCH, EPOCH + 1.0]

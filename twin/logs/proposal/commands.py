@@ -120,9 +120,10 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
     if _LACKING not in found.missing or len(pulses) != 2:
         return
     found.missing.remove(_LACKING)
-    found.questions.append(f"{pulses[0]}, {pulses[1]}: left and right? Or throttle and steering?")
-    for target, name in zip(("n_left_rps", "n_right_rps"), pulses, strict=True):
+    sides = sides_of(pulses) or pulses
+    for target, name in zip(("n_left_rps", "n_right_rps"), sides, strict=True):
         _shaft(target, name, columns, found)
+    found.questions.append(f"{sides[0]}, {sides[1]}: left and right? Or throttle and steering?")
 
 
 def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
@@ -149,9 +150,11 @@ def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
         put(columns, found, target, name, "", more, why)
         return
     most = float(np.abs(values).max(initial=0.0))
-    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "")
+    unit = unit_of(name, ("deg", "rad"))
     if not unit:
-        unit = "rad"
-        found.questions.append(f"{name}: deg or rad? rad is taken, for it is within {most:.2g}")
+        unit = "deg" if most > 1.6 else "rad"
+        found.questions.append(
+            f"{name}: deg, rad or a share of full helm? {unit} is taken: it is within {most:.2g}"
+        )
     why = "above 0 must turn to starboard"
     put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

@@ -199,12 +199,12 @@ def _dated(
         zone = ""
     else:
         in_head, name = ("", name) if name else _zone_of(title)
-        in_head = in_head or ZONES.get(name, "")
+        in_head = in_head or ZONES.get(name, name if "/" in name else "")
         if zone and in_head and ahead_of_utc(zone, first) != ahead_of_utc(in_head, first):
             found.questions.append(f"{title}: {zone} is taken, as asked, though its name says else")
             name = ""
         zone = zone or in_head
-        found.why = f"{name} is {zone}" if name else ""
+        found.why = f"{name} is {zone}" if name != zone and name else ""
         if not zone and name and not formats[0].zone and name not in MEANINGS:
             found.questions.append(f"{title}: {name}: a zone? UTC is taken; else state it: --zone")
             found.why = "dates without a zone count as UTC"
@@ -227,7 +227,7 @@ def _zone_of(title: str) -> tuple[str, str]:
     ahead = _AHEAD.search(title)
     if ahead is not None:
         return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
-    words = re.findall(r"\b[A-Z]{3,4}\b", title)
+    words = re.findall(r"(?<![^\W_])[A-Z]{3,4}(?![^\W_])", title)
     unknown = "".join(re.findall(r"[(\[]([^\W\d][\w/ ]{2,})[)\]]", title)[:1])
     if re.fullmatch(r"[dmyhs/ ]+|.*local.*", unknown, re.IGNORECASE):  # a picture of a date
         unknown = ""
