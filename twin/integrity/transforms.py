@@ -319,15 +319,9 @@ TABLE: tuple[Hypothesis, ...] = (
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
     """Return the faults that signals may have, each once; of one shaft, where they are two."""
-    left, right = s.stacked(*SHAFTS)
-    none = {"left", "right", "sides"} if np.array_equal(left, right) else set[str]()
-    return [
-        *{
-            each.what: each
-            for each in TABLE
-            if s.has(*each.changed) and none.isdisjoint((each.sensor, each.code))
-        }.values()
-    ]
+    one = {"left", "right", "sides"} if np.array_equal(*s.stacked(*SHAFTS)) else set[str]()
+    table = [each for each in TABLE if one.isdisjoint((each.sensor, each.code))]
+    return list({each.what: each for each in table if s.has(*each.changed)}.values())
 
 
 class _Trial(NamedTuple):

@@ -72,7 +72,7 @@ def ahead_of_utc(zone: str, shown: float = 0.0) -> float:
     ----------
     zone : str
         Hours and minutes, as ``+02:00``, ``2`` and ``UTC-5``; a name that means one thing, as
-        ``CEST``; or one of the IANA data base, as ``Europe/Berlin``.
+        ``CEST``; or one of the IANA data base, as ``Europe/Berlin``. Empty: UTC.
     shown : float
         What it shows, s; for zones of a place.
 
@@ -81,7 +81,7 @@ def ahead_of_utc(zone: str, shown: float = 0.0) -> float:
     LogError
         Where it is no zone, or the name of several.
     """
-    return _ahead(zone, shown // _QUARTER_S)
+    return _ahead(zone, shown // _QUARTER_S) if zone and shown == shown else 0.0
 
 
 @functools.lru_cache(maxsize=1024)
@@ -160,9 +160,6 @@ class Clock(NamedTuple):
         """Whether it says the time of day only."""
         return _undated(self.format) and not self.date
 
-    def _utc(self, second: float) -> float:
-        return second - ahead_of_utc(self.zone, second) if self.zone else second
-
     def seconds(self, texts: Mapping[str, Sequence[str]]) -> list[float | None]:
         """Return the seconds since 1970 of some rows; NaN of empty cells, None of other text."""
         cells = [cell.strip() for cell in texts[self.column]]
@@ -172,9 +169,10 @@ class Clock(NamedTuple):
             first = next((text for text in whole if text.strip() not in EMPTY), "")
             forms = [each.format for each in _candidates(first) if each.order and not each.zone]
             form = forms[0] if forms and "%Y" in forms[0] and "%I" not in forms[0] else ""
+        seconds = [each - ahead_of_utc(self.zone, each) for each in dates(whole, form).tolist()]
         return [
-            math.nan if cell in EMPTY else None if math.isnan(second) else self._utc(second)
-            for cell, second in zip(cells, dates(whole, form).tolist(), strict=True)
+            math.nan if cell in EMPTY else None if math.isnan(second) else second
+            for cell, second in zip(cells, seconds, strict=True)
         ]
 
 

@@ -11,7 +11,6 @@ from twin.digital_twin import Twin, TwinError
 from twin.logs.autopilot.outputs import particulars_of_parameters
 from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
 from twin.logs.datasets import known_ship
-from twin.logs.errors import LogError
 from twin.logs.log import Log, mapping_of, sibling_path
 from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
@@ -79,13 +78,12 @@ def particulars_for_log(
     beside, ship = ship is None, str(file) if ship is None else ship
     tables = _tables_of(ship) if Path(ship).suffix == ".toml" else set[str]()
     if beside and tables and tables.isdisjoint(_BOAT):
-        try:
-            Layout.load(file)
-            kind = f"a mapping: call it {sibling_path(path, '.mapping.toml').name}"
-        except LogError:
-            kind = f"neither, but has {', '.join(sorted(tables))}: give it another name"
-        raise ParticularsError(_OTHER_FILE.format(file=file, path=path, kind=kind))
-    if "hull" not in tables and (beside or tables & {"particulars", "ship"}):
+        raise ParticularsError(
+            f"{file}: has the name of {path}, and so is read as the particulars of its boat, but "
+            f"holds [{'], ['.join(sorted(tables))}]: give it another name (that of a mapping is "
+            f"{sibling_path(path, '.mapping.toml').name}), or name the boat with --ship"
+        )
+    if "hull" not in tables and (beside or tables):
         return Particulars.load(ship, log=path)
     vessel = Vessel.load(ship)
     if not is_autopilot_log(Path(path)):
@@ -154,11 +152,6 @@ _NO_PARTICULARS = (
 
 _BOAT = ("particulars", "instruments", "deck", "ship", "hull")
 """Tables of a file that describes a boat."""
-
-_OTHER_FILE = (
-    "{file}: has the name of {path}, and so should hold the particulars of its boat, or a vessel. "
-    "It is {kind}, or name the boat with --ship"
-)
 
 
 def _tables_of(path: str) -> set[str]:

@@ -156,9 +156,12 @@ def test_the_command_that_missing_particulars_name_works(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[columns]\nt_s = "time"\n', r"It is a mapping: call it mine\.mapping\.toml, or"),
-        ('[position]\nlatitude = "lat"\nlongitude = "lon"\n', r"a mapping: .*--ship"),
-        ("[tool.logger]\nrate = 3\n", r"neither, but has tool: give it another name, or .*--ship"),
+        (
+            '[columns]\nt_s = "time"\n',
+            r"\[columns\].*mapping is mine\.mapping\.toml.*--ship",
+        ),
+        ('[position]\nlatitude = "lat"\nlongitude = "lon"\n', r"\[position\].*mapping"),
+        ("[tool.logger]\nrate = 3\n[a]\n", r"\[a\], \[tool\]: give it another name"),
     ],
 )
 def test_another_file_with_the_name_of_a_log_is_named(tmp_path, text, words):
