@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import importlib.metadata
@@ -9,7 +10,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
-from modulefinder import ModuleFinder
+from importlib.util import resolve_name
 from pathlib import Path
 
 from twin.predictors.base import Predictor
@@ -84,11 +85,34 @@ def _installed() -> frozenset[str]:
 def _imported_files(module: str, path: Path) -> list[Path]:
     """Return the files of a module and of those that it imports from beside it or its package."""
     top, *inside = module.split(".")
-    root = path.parents[len(inside) + (path.name == "__init__.py")]
-    finder = ModuleFinder([str(root)], excludes=_installed() - {top})
-    finder.import_hook(module)
-    found = (getattr(each, "__file__", None) for each in finder.modules.values())
-    return sorted(Path(file) for file in found if file)
+    root, others = path.parents[len(inside) + (path.name == "__init__.py")], _installed() - {top}
+    found, todo = {path: module}, [path]
+    for file in todo:  # grows meanwhile
+        package = found[file] if file.name == "__init__.py" else found[file].rpartition(".")[0]
+        for name in _imports(file, package):
+            parts = name.split(".")
+            for k in range(1, len(parts) + 1) if parts[0] not in others else ():
+                at = root.joinpath(*parts[:k])
+                for other in (at.with_suffix(".py"), at / "__init__.py"):
+                    if other.is_file() and other not in found:
+                        found[other] = ".".join(parts[:k])
+                        todo.append(other)
+    return sorted(found)
+
+
+def _imports(file: Path, package: str) -> Iterator[str]:
+    """Yield the names of the modules that a module of a package imports, or may import."""
+    try:
+        nodes = ast.walk(ast.parse(file.read_bytes()))
+    except (SyntaxError, ValueError):  # compiled, or not to be imported either
+        return
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            base = resolve_name(base, package) if node.level else base
+            yield from (f"{base}.{each.name}" for each in node.names)
 
 
 def _is_foreign(kind: type) -> bool:
