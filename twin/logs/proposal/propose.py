@@ -338,6 +338,8 @@ def _plain(columns: Columns, found: Proposal) -> None:
             unit = "kn" if _has_unit(found, "speed", "kn") else "mps"
             found.questions.append(f"{name}: m/s or knots? {unit} is taken, as of the boat's speed")
         elif meaning.startswith("accel"):
+            if vertical is None and not unit and not unit_of(name, ("mps2",)):
+                found.questions.append(f"{name}: g or m/s2? m/s2 is taken")
             unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
             if name == vertical and force > 0.0:
                 more, why = "scale = -1.0", "it points up"
