@@ -113,7 +113,9 @@ def skid_boat() -> Columns:
 
 def test_throttle_and_steering_of_two_thrusters_are_mixed(tmp_path: Path) -> None:
     """What is asked can be pasted: left is throttle plus steering, right throttle minus it."""
-    path = write(tmp_path / "a.csv", skid_boat())
+    columns = skid_boat()
+    columns["throttle_pwm"][-30:] = columns["steering_pwm"][-30:] = 0.0  # disarmed
+    path = write(tmp_path / "a.csv", columns)
     text, log = mapped(path)
     assert np.ptp(log.cmd[:, 2]) > 0.0
     lines = re.findall(r"(throttle|steering) = (\{[^}]*\})", text)
@@ -124,7 +126,8 @@ def test_throttle_and_steering_of_two_thrusters_are_mixed(tmp_path: Path) -> Non
     mapping.write_text("\n".join([*kept, "[skid_steering]", *table]))
     log, truth = Log.read(path), boat()
     for side, name in enumerate(("rpm_left", "rpm_right")):
-        assert log.cmd[:, side] == pytest.approx(truth[name] / 60.0, abs=1e-6)
+        assert log.cmd[:-30, side] == pytest.approx(truth[name][:-30] / 60.0, abs=1e-6)
+        assert (log.cmd[-30:, side] == log.cmd[-31, side]).all()
     assert not log.cmd[:, 2:].any()
     found = check_log(path)
     assert not any(finding.severity == "error" for finding in found.findings)

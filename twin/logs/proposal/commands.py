@@ -18,7 +18,16 @@ from twin.logs.proposal.header_words import (
     unit_of,
     words_of,
 )
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, entry, is_pulses, known, put
+from twin.logs.proposal.sheet import (
+    Columns,
+    Proposal,
+    add_line,
+    entry,
+    is_pulses,
+    known,
+    marked,
+    put,
+)
 
 __all__ = ["find_commands", "find_pulses"]
 
@@ -59,7 +68,7 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
     if len(alone) == 2 and pulses[0] == pulses[1] and means(alone[1], NAMES["steering"]):
         more = _PULSES if pulses[0] else ""
         lines = " and ".join(
-            entry(key, name, "", more)
+            entry(key, name, "", marked(columns, name, more))
             for key, name in zip(("throttle", "steering"), alone, strict=True)
         )
         found.questions.append(

@@ -24,6 +24,7 @@ __all__ = [
     "entry",
     "is_pulses",
     "known",
+    "marked",
     "pick",
     "put",
     "read_columns",
@@ -165,9 +166,16 @@ def put(
     """Take a column, and add the line that makes a column of the log of it."""
     if name in columns.marks:
         numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
-        more = f"{more}, " * bool(more) + f"empty = [{numbers}]"
         found.questions.append(f"{name}: {numbers} is far from all others, and taken as no value")
-    add_line(found, table, entry(target, columns.take(name), unit, more, why))
+    add_line(
+        found, table, entry(target, columns.take(name), unit, marked(columns, name, more), why)
+    )
+
+
+def marked(columns: Columns, name: str, more: str) -> str:
+    """Return further keys of a line, with the numbers of its column that are no values."""
+    numbers = ", ".join(f"{mark:g}" for mark in columns.marks.get(name, ()))
+    return ", ".join(part for part in (more, f"empty = [{numbers}]" * bool(numbers)) if part)
 
 
 def known(values: Array) -> Array:
