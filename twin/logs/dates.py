@@ -7,6 +7,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import NamedTuple
@@ -90,18 +91,18 @@ def _ahead(zone: str, quarter: float) -> float:
     found = re.fullmatch(r"(?:UTC|GMT)?\s*([+-]?)(\d{1,2})(?::?([0-5]\d))?", text, re.IGNORECASE)
     if found is not None and int(found[2]) <= 14:
         return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3] or 0))
-    try:
-        if name in MEANINGS:
-            raise LookupError
-        begin = datetime(1970, 1, 1, tzinfo=ZoneInfo(zone))
-        ahead = (begin + timedelta(seconds=quarter * _QUARTER_S)).utcoffset()
-    except (ValueError, LookupError, OSError):  # a path, a name that is none, a folder of zones
+    ahead = None
+    if name not in MEANINGS:
+        with suppress(ValueError, LookupError, OSError):  # a path, no such name, a folder
+            begin = datetime(1970, 1, 1, tzinfo=ZoneInfo(zone))
+            ahead = (begin + timedelta(seconds=quarter * _QUARTER_S)).utcoffset()
+    if ahead is None:
         hours = " or ".join(MEANINGS.get(name, ("-05:00", "+09:30")))
         raise LogError(
             f"zone {zone!r}: write how far the clock is ahead of UTC, such as {hours}, or its "
             "place, such as Europe/Berlin"
-        ) from None
-    return 0.0 if ahead is None else ahead.total_seconds()
+        )
+    return ahead.total_seconds()
 
 
 _CLOCK = re.compile(
