@@ -196,7 +196,7 @@ def test_verdict_and_paired_tests_are_in_both_tables():
     tables = text.split(r"\begin{table}")[1:]
     assert r"predictor & position (m) & position (m), loss & heading" in tables[0]
     assert r"\textbf{0.279}" in tables[0]
-    assert "All scenarios (turn and zigzag, gps10, future commands held)" in tables[0]
+    assert "All scenarios (turn and zigzag, no loss and gps10, future commands held)" in tables[0]
     assert any(r"my\_own:Mine & -12.5 & 83.3 \\" in table for table in tables)
     assert any("lake" in table and r"my\_own:Mine & 7.50 & 50.0 \\" in table for table in tables)
     assert text.count("{") == text.count("}")

@@ -120,10 +120,10 @@ def _by_boat(runs: Sequence[Row], predictor: str) -> Array:
 
 def scope_of(row: Row) -> str:
     """Return of which scenarios, losses and future commands a row of the verdict is the mean."""
-    lost = [case for case in row.get("cases", ()) if case != "none"]
-    names = [" and ".join(row.get("scenarios", ())) or "all scenarios", *lost]
+    cases = ["no loss" if case == "none" else case for case in row.get("cases", ())]
+    names = [" and ".join(part) for part in (row.get("scenarios", ()), cases) if part]
     plan = {"hold": "held"}.get(row.get("plan", ""), "known")
-    return f"{', '.join(names)}, future commands {plan}"
+    return ", ".join([*names, f"future commands {plan}"])
 
 
 def sentence_of(verdict: Sequence[Row]) -> str:
