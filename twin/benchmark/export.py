@@ -12,6 +12,7 @@ import numpy as np
 from twin import files
 from twin.benchmark.metrics import BASELINE, ORACLE
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
+from twin.benchmark.verdict.summary import scope_of
 from twin.benchmark.verdict.tables import best_text, grouped, is_best, number
 
 __all__ = [
@@ -99,7 +100,8 @@ def _paired(results: Row) -> list[dict[str, Any]]:
     ]
     return [
         {**row, "metric": f"{row['metric']}_{kind}_against_{row['against']}", "unit": "%"}
-        for kind, rows in (("change", found), ("won", won))
+        | {"reference": reference}
+        for kind, rows, reference in (("change", found, 0.0), ("won", won, 50.0))
         for row in rows
     ]
 
@@ -108,6 +110,7 @@ def _verdict(results: Row) -> list[dict[str, Any]]:
     """Return the verdict as rows like those of the summary, over all scenarios; case: the loss."""
     return [
         {"scenario": "all", "case": row["loss"], "predictor": row["predictor"]}
+        | {"plan": row.get("plan", ""), "fault": "+".join(row.get("cases", ()))}
         | {"metric": f"verdict_{name}", "value": row[name], "runs": row["runs"]}
         | {"low": row.get(f"{name}_low"), "high": row.get(f"{name}_high")}
         for name in VERDICT
@@ -201,9 +204,11 @@ def latex_text(results: Row) -> str:
         if (row["case"] == "all") == (row["metric"] in ("verdict_mae", "verdict_mse"))
     ]
     if verdict:
+        of = next(row for row in results["verdict"] if row["loss"] == "all")
         caption = (
-            "All scenarios: mean errors of position and heading after 10\\,s, their ratio to those "
-            "of persistence, pooled MAE and MSE, with 95\\,\\% intervals over boats, best in bold."
+            f"All scenarios ({_escaped(scope_of(of))}): mean errors of position and heading after "
+            "10\\,s, their ratio to those of persistence, pooled MAE and MSE, with 95\\,\\% "
+            "intervals over boats, best in bold."
         )
         heads = {row["metric"]: (row["metric"], 1.0) for row in verdict}
         tables.append(_latex_table(verdict, heads, caption, "verdict"))

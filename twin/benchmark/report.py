@@ -80,10 +80,10 @@ def write_report(
     """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
     ``results`` is the content of ``results.json``; parts of it may be missing. ``pdf`` writes each
-    picture as PDF, too. Without ``runs`` there are no pictures at all.
+    picture as PDF, too. Without ``runs`` there are no pictures at all, not even earlier ones.
     """
     folder = Path(out) / "pictures"
-    for stale in folder.glob("*") if runs is not None else ():
+    for stale in folder.glob("*"):
         if stale.suffix in (".png", ".svg", ".pdf"):
             stale.unlink()
     rows = [*results.get("rows", ()), *results.get("summary", ())]

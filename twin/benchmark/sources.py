@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import importlib.metadata
@@ -9,6 +10,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
+from importlib.util import resolve_name
 from pathlib import Path
 
 from twin.predictors.base import Predictor
@@ -44,9 +46,10 @@ def _version(distribution: str) -> str:
 def predictor_digest(name: str) -> str:
     """Return a hash of a foreign predictor's files; empty for a predictor of this package.
 
-    The files are the modules of the class and of its bases, and those that
-    :attr:`~twin.predictors.base.Predictor.files` of each names. A class without a module file, as
-    in a notebook, has another hash at each call: nobody can say whether it has changed.
+    The files are the modules of the class and of its bases, what the class's module imports from
+    its folder, and those that :attr:`~twin.predictors.base.Predictor.files` of each names. A class
+    without a module file, as in a notebook, has another hash at each call: nobody can say whether
+    it has changed.
 
     Parameters
     ----------
@@ -65,9 +68,51 @@ def predictor_digest(name: str) -> str:
     for base in foreign:
         module = getattr(sys.modules.get(base.__module__), "__file__", None)
         value.update(Path(module).read_bytes() if module else str(time.time_ns()).encode())
-        for path in _named_files(base, Path(module).parent if module else Path.cwd()):
+        files = [*_named_files(base, Path(module).parent if module else Path.cwd())]
+        if base is foreign[0] and module:
+            files += _imported_files(base.__module__, Path(module))
+        for path in files:
             value.update(path.name.encode() + b"\0" + path.read_bytes())
     return value.hexdigest()
+
+
+@functools.cache
+def _installed() -> frozenset[str]:
+    """Return the names of the modules of installed packages, and of this program."""
+    return frozenset({*importlib.metadata.packages_distributions(), *PACKAGES})
+
+
+def _imported_files(module: str, path: Path) -> list[Path]:
+    """Return the files of a module and of those that it imports from beside it or its package."""
+    top, *inside = module.split(".")
+    root, others = path.parents[len(inside) + (path.name == "__init__.py")], _installed() - {top}
+    found, todo = {path: module}, [path]
+    for file in todo:  # grows meanwhile
+        package = found[file] if file.name == "__init__.py" else found[file].rpartition(".")[0]
+        for name in _imports(file, package):
+            parts = name.split(".")
+            for k in range(1, len(parts) + 1) if parts[0] not in others else ():
+                at = root.joinpath(*parts[:k])
+                for other in (at.with_suffix(".py"), at / "__init__.py"):
+                    if other.is_file() and other not in found:
+                        found[other] = ".".join(parts[:k])
+                        todo.append(other)
+    return sorted(found)
+
+
+def _imports(file: Path, package: str) -> Iterator[str]:
+    """Yield the names of the modules that a module of a package imports, or may import."""
+    try:
+        nodes = ast.walk(ast.parse(file.read_bytes()))
+    except (SyntaxError, ValueError):  # compiled, or not to be imported either
+        return
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            base = resolve_name(base, package) if node.level else base
+            yield from (f"{base}.{each.name}" for each in node.names)
 
 
 def _is_foreign(kind: type) -> bool:

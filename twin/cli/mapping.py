@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from twin.cli.common import OptionError, console, note, write_text
-from twin.logs.dates import MEANINGS, ORDERS
+from twin.logs.dates import MEANINGS, ORDERS, ahead_of_utc
 from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
 from twin.logs.proposal.propose import Proposal, propose
@@ -25,7 +24,8 @@ def mapping_command(
         str, typer.Option(help=f"Order of dates that leave it open: {' or '.join(ORDERS)}.")
     ] = "",
     zone: Annotated[
-        str, typer.Option(help="How far the clock of dates is ahead of UTC, as -05:00.")
+        str,
+        typer.Option(help="Of the clock of dates: ahead of UTC, as -05:00 or 2, or Europe/Berlin."),
     ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
 ) -> None:
@@ -36,8 +36,8 @@ def mapping_command(
     """
     if dates and dates not in ORDERS:
         raise OptionError(f"--dates {dates}: use {' or '.join(ORDERS)}")
-    if zone and not re.fullmatch(r"[+-](0\d|1[0-4]):[0-5]\d", zone):
-        raise OptionError(f"--zone {zone}: write hours and minutes, such as -05:00 or +09:30")
+    if zone:
+        ahead_of_utc(zone)  # refuses what is none
     found_beside = sibling_path(log, ".mapping.toml")
     path = out or found_beside
     if path.resolve() == sibling_path(log, ".toml").resolve():

@@ -529,7 +529,8 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
         if (fixed and moved) or (not fixed and not delta.any() and unequal):
             other = "drives" if fixed else "differential"
             what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"
-            remedy = f'steering = "{other}" in the particulars, or other columns in the mapping'
+            mix = "[skid_steering] of throttle and steering" if fixed else "other columns"
+            remedy = f'steering = "{other}" in the particulars, or {mix} in the mapping'
             found.append(Finding(WARNING, "unit", what, remedy, "steering"))
     return found
 

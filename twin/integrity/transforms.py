@@ -304,7 +304,8 @@ TABLE: tuple[Hypothesis, ...] = (
     *_units("climb", *CLIMB),
     Hypothesis("sign", "commands", "the shaft speeds have the wrong sign",
                "scale = -1.0 there in the mapping", SHAFTS, _map(SHAFTS, -np.eye(2))),
-    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping",
+    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, "
+               "or in [skid_steering] turn the sign of steering with scale = -1.0",
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
     Hypothesis("sign", "steering", "steering to starboard turns to port",
                "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
@@ -317,8 +318,10 @@ TABLE: tuple[Hypothesis, ...] = (
 
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
-    """Return the faults that signals may have, each once."""
-    return list({each.what: each for each in TABLE if s.has(*each.changed)}.values())
+    """Return the faults that signals may have, each once; of one shaft, where they are two."""
+    one = {"left", "right", "sides"} if np.array_equal(*s.stacked(*SHAFTS)) else set[str]()
+    table = [each for each in TABLE if one.isdisjoint((each.sensor, each.code))]
+    return list({each.what: each for each in table if s.has(*each.changed)}.values())
 
 
 class _Trial(NamedTuple):

@@ -73,7 +73,7 @@ class Entry:
     clock: bool = False  # whether the source is a date and time, not a number
     format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
     date: str = ""  # column of the date, where the source is a time of day
-    zone: float = 0.0  # by which its clock is ahead of UTC, s
+    zone: str = ""  # of its clock, if it is not UTC
     # takes what convert takes, returns the plane on which it puts positions, if any
     plane: Callable[[Sequence[Array]], Plane | None] | None = None
 

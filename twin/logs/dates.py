@@ -5,14 +5,18 @@ from __future__ import annotations
 import functools
 import math
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import NamedTuple
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from twin.logs.columns import EMPTY, Array, Entry
+from twin.logs.errors import LogError
 
 __all__ = [
     "MEANINGS",
@@ -21,6 +25,7 @@ __all__ = [
     "Clock",
     "DateFormat",
     "Midnight",
+    "ahead_of_utc",
     "date_formats",
     "dates",
     "is_day",
@@ -57,16 +62,60 @@ MEANINGS = {
 }
 """What names of several zones mean most often."""
 
+_QUARTER_S = 900.0
+"""Zones change on whole quarters of an hour, s."""
+
+
+def ahead_of_utc(zone: str, shown: float = 0.0) -> float:
+    """Return by how much a clock is ahead of UTC when it shows so many seconds since 1970, s.
+
+    Parameters
+    ----------
+    zone : str
+        Hours and minutes, as ``+02:00``, ``2`` and ``UTC-5``; a name that means one thing, as
+        ``CEST``; or one of the IANA data base, as ``Europe/Berlin``. Empty: UTC.
+    shown : float
+        What it shows, s; for zones of a place.
+
+    Raises
+    ------
+    LogError
+        Where it is no zone, or the name of several.
+    """
+    return _ahead(zone, shown // _QUARTER_S) if zone and shown == shown else 0.0
+
+
+@functools.lru_cache(maxsize=1024)
+def _ahead(zone: str, quarter: float) -> float:
+    text, name = ZONES.get(zone.upper(), zone), zone.upper()
+    found = re.fullmatch(r"(?:UTC|GMT)?\s*([+-]?)(\d{1,2})(?::?([0-5]\d))?", text, re.IGNORECASE)
+    if found is not None and int(found[2]) <= 14:
+        return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3] or 0))
+    ahead = None
+    if name not in MEANINGS:
+        with suppress(ValueError, LookupError, OSError):  # a path, no such name, a folder
+            begin = datetime(1970, 1, 1, tzinfo=ZoneInfo(zone))
+            ahead = (begin + timedelta(seconds=quarter * _QUARTER_S)).utcoffset()
+    if ahead is None:
+        hours = " or ".join(MEANINGS.get(name, ("-05:00", "+09:30")))
+        raise LogError(
+            f"zone {zone!r}: write how far the clock is ahead of UTC, such as {hours}, or its "
+            "place, such as Europe/Berlin"
+        )
+    return ahead.total_seconds()
+
+
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|[+-]\d{2}(?::?\d{2})?|[A-Z]{2,5})?$"
+    r"(?:\s*(?P<half>[AaPp]\.?[Mm]\.?))?(?P<gap>\s*)"
+    r"(?P<zone>Z|(?:UTC|GMT)?[+-]\d{2}(?::?\d{2})?|[A-Z]{2,5}|[A-Z][a-z]+/[A-Za-z_/]+)?$"
 )
 
 _COMPACT = re.compile(r"^(\d{8}|\d{6})([ T]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
 
 _NUMBERS = re.compile(r"^(\d{1,2})([/.\-])(\d{1,2})\2(\d{4}|\d{2})$")
 
-_NAMED = re.compile(r"^([A-Za-z]{3}, )?(\d{1,2})([ \-/.])([A-Za-z]{3,9})\3(\d{4}|\d{2})$")
+_WORD = r"[A-Za-z\u00c0-\u024f]"
 
 _SHORT_NUMBER = re.compile(r"\d{1,5}(\.\d+)?$", re.ASCII)
 
@@ -98,7 +147,7 @@ class Clock(NamedTuple):
     column: str
     format: str = ""  # empty for ISO 8601
     date: str = ""  # column of the date, where the other one is a time of day
-    zone: float = 0.0  # by which the clock is ahead of UTC, s
+    zone: str = ""  # of the clock, for ahead_of_utc
 
     @classmethod
     def of(cls, entry: Entry) -> Clock:
@@ -121,9 +170,10 @@ class Clock(NamedTuple):
             first = next((text for text in whole if text.strip() not in EMPTY), "")
             forms = [each.format for each in _candidates(first) if each.order and not each.zone]
             form = forms[0] if forms and "%Y" in forms[0] and "%I" not in forms[0] else ""
+        seconds = [each - ahead_of_utc(self.zone, each) for each in dates(whole, form).tolist()]
         return [
-            math.nan if cell in EMPTY else None if math.isnan(second) else second - self.zone
-            for cell, second in zip(cells, dates(whole, form).tolist(), strict=True)
+            math.nan if cell in EMPTY else None if math.isnan(second) else second
+            for cell, second in zip(cells, seconds, strict=True)
         ]
 
 
@@ -191,10 +241,10 @@ _PARTS = {
     "%Y": r"(?P<year>\d{4})",
     "%y": r"(?P<short_year>\d{2})",
     "%m": r"(?P<month>\d{1,2})",
-    "%b": r"(?P<month_name>[A-Za-z]{3,9})",
+    "%b": rf"(?P<month_name>{_WORD}{{3,10}})\.?",
     "%d": r"\s*(?P<day>\d{1,2})",
     "%j": r"(?P<day_of_year>\d{1,3})",
-    "%a": r"[A-Za-z]{3,9}",
+    "%a": rf"{_WORD}{{2,10}}\.?",
     "%H": r"\s*(?P<hour>\d{1,2})",
     "%M": r"(?P<minute>\d{1,2})",
     "%S": r"(?P<second>\d{1,2})",
@@ -241,7 +291,13 @@ def _pattern(form: str) -> re.Pattern[str]:
         return re.compile("(?!)")
 
 
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS = (
+    *("jan|ene|gen", "feb|fev", "mar|mrz|maa|mrt", "apr|avr|abr", "may|mai|mei|mag|maj"),
+    *("jun|juin|giu", "jul|juil|lug", "aug|aou|ago", "sep|set", "oct|okt|ott|out", "nov"),
+    "dec|dez|dic|des",
+)
+"""How names of months begin in English, German, French, Spanish, Italian, Portuguese, Dutch and
+Scandinavian languages, without accents."""
 
 
 def _seconds(match: re.Match[str] | None) -> float:
@@ -289,7 +345,7 @@ def _day(
         century = 1900 if int(short) >= 70 else 2000  # as POSIX has it
         year = str(century + int(short))
     if name is not None:
-        month = str(_MONTHS.index(name[:3].lower()) + 1)
+        month = str(_month(name))
     if of_year is not None:
         date = datetime(int(year or ""), 1, 1) + timedelta(days=int(of_year) - 1)
     elif month and day and not int(month) and not int(day):
@@ -359,6 +415,12 @@ def _candidates(text: str) -> list[DateFormat]:
         return [DateFormat(day + clock)]
     if re.match(r"^\d{6}(\.\d+)?$", text):
         return [DateFormat("%H%M%S%.f")]
+    if year := re.search(r":\d\d(?:\.\d+)?(\D*)( \d{4})$", text):  # of C: the year comes last
+        start, zone = text[: year.start(1)], year[1]
+        start = f"{start[: start.index(':') - 2].rstrip()}{year[2]}{start[start.index(':') - 3 :]}"
+        found = _candidates(start + zone)
+        moved = (each.format.replace(" %Y", "", 1) + " %Y" for each in found)
+        return [replace(each, format=form) for each, form in zip(found, moved, strict=True)]
     clock, day, zone = "", text, ""
     match = _CLOCK.search(text)
     if match is not None:
@@ -376,11 +438,10 @@ def _candidates(text: str) -> list[DateFormat]:
         tail = text[match.start() :]
         if match["half"]:
             clock += (" " if re.search(r"\s[AaPp]", tail) else "") + "%p"
-        if match["zone"]:
-            named = match["zone"].isalpha() and match["zone"] != "Z"
-            space = " " if re.search(r"\s(Z|[+-]|[A-Z]+$)", tail[len(match["hour"]) :]) else ""
-            clock += space + (match["zone"] if named else "%#z")
-            zone = match["zone"] if named and ZONES.get(match["zone"]) != "+00:00" else ""
+        if name := match["zone"]:
+            ahead = re.search(r"^Z$|[+-].*", name)
+            clock += match["gap"][:1] + (name[: ahead.start()] + "%#z" if ahead else name)
+            zone = "" if ahead or ZONES.get(name) == "+00:00" else name
     return [DateFormat(form + clock, order, zone) for form, order in _days(day)]
 
 
@@ -388,20 +449,43 @@ def _days(day: str) -> list[tuple[str, str]]:
     """Return formats of the form of a day, with the order of day and month."""
     if not day:
         return [("", "")]
-    numbers, named = _NUMBERS.match(day), _NAMED.match(day)
+    numbers = _NUMBERS.match(day)
     if numbers is not None:
         year = "%Y" if len(numbers[4]) == 4 else "%y"
         return [(pattern.format(numbers[2], year), order) for order, pattern in ORDERS.items()]
-    if named is not None:
-        year = "%Y" if len(named[5]) == 4 else "%y"
-        month = "%b" if len(named[4]) == 3 else "%B"
-        week = "%a, " if named[1] else ""
-        return [(f"{week}%d{named[3]}{month}{named[3]}{year}", "")]
+    if form := _named(day):
+        return [(form, "")]
     if (match := re.match(r"^\d{4}([/.\-]?)\d{1,2}\1\d{1,2}$", day)) and (
         match[1] or len(day) == 8
     ):
         return [(f"%Y{match[1]}%m{match[1]}%d", "")]
     return []
+
+
+def _named(day: str) -> str:
+    """Return the format of a day whose month is a name; empty where it is none."""
+    form, found = "", list[str]()
+    parts = re.findall(rf"{_WORD}{{2,}}(?:\.(?=\s))?|\d+|.", day)
+    months = sum(_month(part) > 0 for part in parts)  # a Tuesday may be "mar", too
+    for part in parts:
+        letter = ""
+        if part.isdigit():
+            letter = "%Y" if len(part) == 4 else "%y" if "%d" in found else "%d"
+        elif _month(part) and (form or months == 1):
+            letter = "%b"
+        elif not form and len(part) > 1:
+            letter = "%a"
+        found += [letter] * bool(letter)
+        form += letter or part
+    whole = sorted(found, key=str.lower)[-3:]
+    return form if len(found) < 5 and whole in (["%b", "%d", "%Y"], ["%b", "%d", "%y"]) else ""
+
+
+def _month(name: str) -> int:
+    """Return the number of the month of a name; 0 where it is none."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
+    found = (k for k, begin in enumerate(_MONTHS, 1) if re.match(begin, plain))
+    return next(found, 0)
 
 
 def is_day(text: str) -> bool:

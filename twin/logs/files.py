@@ -49,7 +49,7 @@ _LOOK = 1000
 _SIDE = r"(N(?:ORTH)?|S(?:OUTH)?|E(?:AST)?|W(?:EST)?)?"
 
 _ANGLE = re.compile(
-    rf"{_SIDE}\s*(-?\d+\.?\d*)?(\s*°\s*|\s+)?(?:(\d+\.?\d*)\s*['\u2032]?\s*)?"
+    rf"{_SIDE}\s*(-?\d+\.?\d*)?(\s*[°:-]\s*|\s+)?(?:(\d+\.?\d*)\s*['\u2032:-]?\s*)?"
     rf"(?:(\d+\.?\d*)\s*[\"\u2033]?\s*)?{_SIDE}",
     re.ASCII,
 )

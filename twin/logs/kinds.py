@@ -19,6 +19,9 @@ _MAGIC = {
     b"\xa3\x95": "a DataFlash log of ArduPilot; give it the ending .bin",
     b"PK\3\4": "a spreadsheet or another packed file; save it as CSV in UTF-8",
     b"\x89HDF": "an HDF5 or MATLAB file; write its columns as CSV",
+    b"\x93NUMPY": "a NumPy array; write its columns as CSV, with numpy.savetxt",
+    b"ARROW1": "an Arrow or Feather file; write it as Parquet, with pyarrow",
+    b"\xb5b": "a record of a u-blox receiver; make NMEA 0183 of it, in u-center or with pyubx2",
     b"MATLAB 5.0": "a MATLAB file; write its columns as CSV, with writetable",
     b"SQLite format 3": "a database, as ROS 2 bags are; of these give it the ending .db3",
     b"\x89MCAP0": "an MCAP; give it the ending .mcap",
@@ -28,20 +31,31 @@ _MAGIC = {
 _BY_HAND = "make CSV of it, with a column each for time, place, heading and commands"
 
 _TEXTS = {
-    rb"\s*<(\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<?gpx\b": (
-        "a GPX track: places and times, but neither headings nor commands; make CSV of it "
-        "(gpsbabel -t -i gpx -f IN -o unicsv -F OUT.csv) and join those of another log"
+    rb"\s*<(\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<?gpx\b|.{8}\.FIT"
+    rb"|A[A-Z0-9]{3}[^\n]*\n(H[^\n]*\n)*B\d{13}[NS]": (
+        "a GPX track or one of its kind (FIT, IGC): places and times, but neither "
+        "headings nor commands; make CSV of it (gpsbabel -t -i gpx -f IN -o unicsv -F OUT.csv) and "
+        "join those of another log"
     ),
     rb"\s*<": f"XML; {_BY_HAND}",
     rb"\s*(\([-\d :.]+\)\s+)?v?s?l?can\d+\s+([RT]X[-\s]+)?[0-9A-Fa-f]+(#|\s+\[\d)"
-    rb"|date [^\n]*\nbase (hex|dec)|[-\d:.TZ]+,\d,\d{5,6},\d+,\d+,\d+,[0-9A-Fa-f]{2}": (
+    rb"|date [^\n]*\nbase (hex|dec)|[-\d:.TZ]+,\d,\d{5,6},\d+,\d+,\d+,[0-9A-Fa-f]{2}"
+    rb"|[\d:.]+ [RT] [0-9A-F]{8}( [0-9A-F]{2})+\s|A\d{6}\.\d+ ([0-9A-F]{5} ){2}[0-9A-F]+\s": (
         "a record of a CAN bus, such as candump writes; decode it (for NMEA 2000: candump2analyzer "
         "< IN | analyzer -json) and make CSV of that"
     ),
     rb"(\d+;\w;)?[\s\[]*\{.{0,2000}\"(updates|context)\"\s*:": (
         f"a file of Signal K deltas, one JSON object a line; {_BY_HAND}"
     ),
+    rb"\s*(#[^\n]*\n\s*)*\[[\w.]+\]\s*\n": "TOML, as mappings are; name the log itself",
     rb"\s*[\[{]": f"JSON; {_BY_HAND}",
+    rb"(---\n)?[a-z_]+:[^\n]*\n(.*\n)?---\n": (
+        "YAML, as ros2 topic echo prints it; record the topics in its place: ros2 bag record"
+    ),
+    rb"[^\n]*\braw_data\b[^\n]*\n[^\n]*[$!][A-Z]{5},": (
+        "CSV of NMEA 0183 sentences, as the VDR of OpenCPN writes it; write those alone, one a "
+        "line, to a file that ends in .nmea"
+    ),
     rb"[\d-]+ [\d:.]+: [A-Z_0-9]+ \{": (
         "a telemetry log of MAVLink as text; give the .tlog that it was made of, whose messages "
         "are known"

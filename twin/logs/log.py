@@ -312,7 +312,11 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
         return table
     if is_nmea_log(path):
         table = read_nmea_log(path, layout)
-        constants = f"give constants, such as n_rps = 0.0, in {sibling_path(path, '.mapping.toml')}"
+        constants = (
+            "positions come of GGA, RMC, GLL, headings of HDT, HDG, HDM, THS, VHW, PASHR; of "
+            "commands give constants, such as n_rps = 0.0, in "
+            f"{sibling_path(path, '.mapping.toml')}"
+        )
         table.lacking = _lacking(table.source, table.data, constants)
         return table
     file = column_file(path)

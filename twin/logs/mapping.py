@@ -6,7 +6,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times,
                                                     # format = "%d/%m/%Y %I:%M:%S %p" unless ISO
                                                     # from = ["date", "time"] of two columns;
-                                                    # zone = "+02:00" of a clock not in UTC
+                                                    # zone = "+02:00" or "Europe/Oslo", if not UTC
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
     wind_mps = { from = "TWS", unit = "kn", offset = 0.0, empty = [-999] }  # no values
@@ -18,6 +18,10 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     datum = [38.86580, 121.53438]                   # left out: the first fix
     scale = 1e-7                                    # of latitude and longitude, to degrees
     unit = "ddmm"                                   # degrees and minutes in one number, ddmm.mm
+
+    [skid_steering]                                 # in place of shaft speeds and angles:
+    throttle = "ahead"                              # left is throttle + steering,
+    steering = { from = "turn", scale = 1.0 }       # right is throttle - steering
 
     [datum]                                         # positions in metres: where that was
     latitude = "lat"
@@ -74,6 +78,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
+from twin.logs.dates import ahead_of_utc
 from twin.logs.datum import FIXES, Datum, Plane, from_minutes, in_minutes
 from twin.logs.errors import LogError
 from usv_kernel.channels import WIND_CHANNELS
@@ -89,8 +94,8 @@ __all__ = [
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
 
 _TABLES = (
-    *("columns", "position", "velocity", "heading", "attitude", "wind", "apparent_wind"),
-    *("datum", "rows", "servos"),
+    *("columns", "position", "velocity", "skid_steering", "heading", "attitude"),
+    *("wind", "apparent_wind", "datum", "rows", "servos"),
 )
 
 _SERVOS = {"left": 32.0, "right": 32.0, "steering": 32.0, "shaft_speed": 1e4, "angle_deg": 180.0}
@@ -232,6 +237,7 @@ class _Parser:
         ]
         makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
         makers |= {"attitude": self.attitude, "datum": self.datum}
+        makers["skid_steering"] = self.skid_steering
         for name in ("wind", "apparent_wind"):
             makers[name] = functools.partial(self.wind, name)
         entries += [make(data[key]) for key, make in makers.items() if key in data]
@@ -304,7 +310,9 @@ class _Parser:
         form = self.text(name, table, "format", "")
         if form and not clock:
             raise self.fail(name, 'format is for unit = "datetime"')
-        zone = self.zone(name, self.text(name, table, "zone", ""), clock and "z" not in form)
+        zone = self.zone(
+            name, self.text(name, table, "zone", ""), clock and not re.search("%[:#]?z", form)
+        )
         frame = table.get("frame", "ned")
         if frame != "ned":
             if frame != "enu" or name not in _ENU:
@@ -320,7 +328,9 @@ class _Parser:
         return Entry(
             names,
             (source, date) if date else (source,),
-            _first(factor, offset) if date else self.linear(names, factor, offset, table),
+            _first(factor, offset)
+            if date
+            else self.linear(name, len(names), factor, offset, table),
             topic,
             f"{both}: from {f'{date} and ' if date else ''}{what}" + _conversion(factor, offset),
             clock,
@@ -337,32 +347,33 @@ class _Parser:
         return [self.number(f"{where} empty", value) for value in given]
 
     def linear(
-        self, names: tuple[str, ...], factor: float, offset: float, table: Mapping[str, Any]
+        self, where: str, count: int, factor: float, offset: float, table: Mapping[str, Any]
     ) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
-        """Return the conversion of one source; None where nothing is to be done."""
-        marks = self.marks(names[0], table)
+        """Return the conversion of one source to so many columns; None where none is needed."""
+        marks = self.marks(where, table)
         if factor == 1.0 and offset == 0.0 and not marks:
             return None
+        command = where in COMMANDS or where in SINGLE or where.startswith("[skid")
 
         def convert(values: Sequence[Array]) -> list[Array]:
             none = np.isin(values[0], marks)
             made = np.where(none, np.nan, values[0] * factor + offset)
-            if names[0] in COMMANDS:  # nothing turns before the first one; later ones are held
+            if command:  # nothing turns before the first one; later ones are held
                 made[: int(np.argmin(none)) if not none.all() else None] = 0.0
-            return [made] * len(names)
+            return [made] * count
 
         return convert
 
-    def zone(self, name: str, text: str, allowed: bool) -> float:
-        """Return by how much a clock is ahead of UTC, s."""
-        if not text:
-            return 0.0
-        if not allowed:
+    def zone(self, name: str, text: str, allowed: bool) -> str:
+        """Return the zone of a clock, if it is one."""
+        if text and not allowed:
             raise self.fail(name, "zone is for dates that have none of their own")
-        found = re.fullmatch(r"([+-])(\d\d):?([0-5]\d)", text)
-        if found is None or int(found[2]) > 14:
-            raise self.fail(name, f'zone = {text!r} must be hours and minutes, such as "+02:00"')
-        return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3]))
+        if text:
+            try:
+                ahead_of_utc(text)
+            except LogError as error:
+                raise self.fail(name, str(error)) from None
+        return text
 
     def position(self, given: Any) -> Entry:
         keys = ("topic", "latitude", "longitude", "unit", "scale", "datum")
@@ -418,29 +429,47 @@ class _Parser:
         return value
 
     def velocity(self, given: Any) -> Entry:
-        table = self.known("[velocity]", given, ("speed", "course"))
-        parts = [
-            self.source_of(f"[velocity] {key}", table.get(key, {}), unit)
-            for key, unit in (("speed", "mps"), ("course", "rad"))
-        ]
-        if parts[0][0] != parts[1][0]:
-            raise self.fail("[velocity]", "speed and course must come from the same topic")
+        topic, sources, values_of = self.two("[velocity]", given, {"speed": "mps", "course": "rad"})
 
-        none = [
-            self.marks(f"[velocity] {key}", table[key]) if isinstance(table[key], Mapping) else []
-            for key in ("speed", "course")
+        def convert(values: Sequence[Array]) -> list[Array]:
+            speed, course = values_of(values)
+            return [speed * np.cos(course), speed * np.sin(course)]
+
+        note = f"gps_vx_mps, gps_vy_mps: from speed {sources[0]} and course {sources[1]}"
+        return Entry(("gps_vx_mps", "gps_vy_mps"), sources, convert, topic, note)
+
+    def skid_steering(self, given: Any) -> Entry:
+        units = {"throttle": "rps", "steering": "rps"}
+        topic, sources, values_of = self.two("[skid_steering]", given, units)
+
+        def convert(values: Sequence[Array]) -> list[Array]:
+            ahead, turn = values_of(values)
+            return [ahead + turn, ahead - turn, 0.0 * ahead, 0.0 * ahead]
+
+        note = f"n_left_rps, n_right_rps: {sources[0]} plus and minus {sources[1]}"
+        return Entry(COMMANDS, sources, convert, topic, note)
+
+    def two(
+        self, where: str, given: Any, units: Mapping[str, str]
+    ) -> tuple[str, tuple[str, str], Callable[[Sequence[Array]], list[Array]]]:
+        """Return topic and sources of a table of two keys, and what gives the values of both."""
+        table = self.known(where, given, tuple(units))
+        names = [f"{where} {key}" for key in units]
+        one, other = (
+            self.source_of(name, table.get(key, {}), unit)
+            for name, (key, unit) in zip(names, units.items(), strict=True)
+        )
+        if one[0] != other[0]:
+            raise self.fail(where, f"{' and '.join(units)} must come from the same topic")
+        made = [
+            self.linear(name, 1, *part[2:]) or list
+            for name, part in zip(names, (one, other), strict=True)
         ]
 
         def convert(values: Sequence[Array]) -> list[Array]:
-            speed, course = (
-                np.where(np.isin(value, marks), np.nan, value * part[2] + part[3])
-                for value, part, marks in zip(values, parts, none, strict=True)
-            )
-            return [speed * np.cos(course), speed * np.sin(course)]
+            return [make([value])[0] for make, value in zip(made, values, strict=True)]
 
-        sources = (parts[0][1], parts[1][1])
-        note = f"gps_vx_mps, gps_vy_mps: from speed {sources[0]} and course {sources[1]}"
-        return Entry(("gps_vx_mps", "gps_vy_mps"), sources, convert, parts[0][0], note)
+        return one[0], (one[1], other[1]), convert
 
     def quaternion(
         self, where: str, given: Any, *more: str

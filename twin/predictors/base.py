@@ -251,9 +251,9 @@ class Predictor(ABC):
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
     files: ClassVar[tuple[str, ...]] = ()
-    """Files that the class reads, such as weights, and further modules of its own; a folder stands
-    for all in it. Paths count from the folder of the class's module. A kept result of a benchmark
-    is not reused once one of them, or the module, changes. A subclass names its own; those of its
+    """Files that the class reads, such as weights; a folder stands for all in it. Paths count from
+    the folder of the class's module. A kept result of a benchmark is not reused once one of them,
+    the module, or one that it imports from there changes. A subclass names its own; those of its
     bases count too."""
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     """Named groups of options, for names such as ``dsw-ukf:printed``."""

@@ -99,7 +99,7 @@ SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
 
 
-_LOST = field_at(NAVIGATION, "lost")
+_BEGUN, _LOST = field_at(NAVIGATION, "begun"), field_at(NAVIGATION, "lost")
 
 
 class UKFMemory(NamedTuple):
@@ -532,7 +532,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def ready(self) -> bool:
         """True once the filter has begun."""
-        return bool(self.memory.nav.view(NAVIGATION)[0]["begun"])
+        return bool(self.memory.nav.item(_BEGUN))
 
     @property
     def lost(self) -> bool:

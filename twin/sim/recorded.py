@@ -19,7 +19,7 @@ from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
 from usv_gym.vessel.vessel import Vessel, vessel_names
-from usv_kernel.files import TOML_MAX, read_limited
+from usv_kernel.files import read_toml
 
 __all__ = [
     "has_particulars",
@@ -75,10 +75,15 @@ def particulars_for_log(
         raise ParticularsError(
             _NO_PARTICULARS.format(path=path, options=options, file=target, names=names)
         )
-    ship = str(file) if ship is None else ship
-    text = _text(ship) if Path(ship).suffix == ".toml" else ""
-    of_boat = "[[ship]]" in text or "[particulars]" in text or ship == str(file)
-    if of_boat and "[hull]" not in text:
+    beside, ship = ship is None, str(file) if ship is None else ship
+    tables = _tables_of(ship) if Path(ship).suffix == ".toml" else set[str]()
+    if beside and tables and tables.isdisjoint(_BOAT):
+        raise ParticularsError(
+            f"{file}: has the name of {path}, and so is read as the particulars of its boat, but "
+            f"holds [{'], ['.join(sorted(tables))}]: give it another name (that of a mapping is "
+            f"{sibling_path(path, '.mapping.toml').name}), or name the boat with --ship"
+        )
+    if "hull" not in tables and (beside or tables):
         return Particulars.load(ship, log=path)
     vessel = Vessel.load(ship)
     if not is_autopilot_log(Path(path)):
@@ -145,8 +150,12 @@ _NO_PARTICULARS = (
 )
 
 
-def _text(path: str) -> str:
+_BOAT = ("particulars", "instruments", "deck", "ship", "hull")
+"""Tables of a file that describes a boat."""
+
+
+def _tables_of(path: str) -> set[str]:
     try:
-        return read_limited(Path(path), ParticularsError, TOML_MAX).decode("utf-8", "replace")
+        return {*read_toml(path, ParticularsError)}
     except ParticularsError:
-        return ""  # whoever reads it says why
+        return set()  # whoever reads it says why

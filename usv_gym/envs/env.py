@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.copying import packed, unpacked
@@ -83,6 +85,20 @@ class Recorder:
             self.rows[i].append(Recorded(*now))
 
 
+class Spec(EnvSpec):
+    """What Gymnasium knows of an environment, with errors that name the remedy."""
+
+    def to_json(self) -> str:
+        """Return it as JSON, where no option is an object that has none."""
+        try:
+            return super().to_json()
+        except TypeError as error:
+            raise UsvTwinError(
+                f"spec.to_json(): {error}. Of gym.make's {', '.join(self.kwargs)} one is an object "
+                "that has no JSON: give a vessel by its name or file, a task as 'module:Class'"
+            ) from None
+
+
 class BoatsAtSea:
     """What single and vector environments have in common.
 
@@ -95,6 +111,18 @@ class BoatsAtSea:
     """
 
     metadata: dict[str, Any]
+
+    _spec: Spec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What made it, where that was Gymnasium."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        parts = [] if given is None else [one.name for one in dataclasses.fields(given) if one.init]
+        self._spec = Spec(**{name: getattr(given, name) for name in parts}) if parts else None
 
     def _set_up(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import shutil
 import subprocess
 
@@ -159,7 +160,8 @@ def judged():
         {"predictor": name, "loss": loss, "runs": 6, "ratio": None if loss == "any" else mae}
         | {"position_m": 2.0 * mae, "position_m_low": mae, "position_m_high": 3.0 * mae}
         | {"heading_deg": mae, "heading_deg_low": None, "heading_deg_high": None}
-        | {"mae": mae, "mse": mae}
+        | {"mae": mae, "mse": mae, "plan": "hold", "scenarios": ["turn", "zigzag"]}
+        | {"cases": {"none": ["none"], "any": ["gps10"], "all": ["none", "gps10"]}[loss]}
         for name, mae in MAE.items()
         for loss in ("none", "any", "all")
     ]
@@ -178,6 +180,7 @@ def test_verdict_and_paired_tests_are_in_both_tables():
     }
     best = found["all", "none", "verdict_position_m", "my_own:Mine"]
     assert (float(best["value"]), best["unit"], best["runs"]) == (0.2792, "m", "6")
+    assert (best["plan"], best["fault"]) == ("hold", "none")
     change = found["turn", "gps10", "mae_change_against_ukf", "my_own:Mine"]
     assert [float(change[key]) for key in ("value", "low", "high", "median")] == [
         -12.5,
@@ -192,7 +195,25 @@ def test_verdict_and_paired_tests_are_in_both_tables():
     text = latex_text(judged())
     tables = text.split(r"\begin{table}")[1:]
     assert r"predictor & position (m) & position (m), loss & heading" in tables[0]
-    assert r"\textbf{0.279}" in tables[0] and "All scenarios" in tables[0]
+    assert r"\textbf{0.279}" in tables[0]
+    assert "All scenarios (turn and zigzag, no loss and gps10, future commands held)" in tables[0]
     assert any(r"my\_own:Mine & -12.5 & 83.3 \\" in table for table in tables)
     assert any("lake" in table and r"my\_own:Mine & 7.50 & 50.0 \\" in table for table in tables)
     assert text.count("{") == text.count("}")
+
+
+@pytest.mark.parametrize(("changes", "best"), [((-12.5, 3.0), "-12.5"), ((8.0, 3.0), None)])
+def test_what_loses_to_the_reference_is_not_the_best(changes, best):
+    """The reference takes part in paired tests: it changes by 0 %, and wins half of the runs."""
+    given = judged()
+    (pair,) = given["paired"]
+    given["recorded"] = []
+    given["paired"] = [
+        pair | {"predictor": name, "change_percent": change, "wins": 6 if change < 0.0 else 0}
+        for name, change in zip(("var", "persistence"), changes, strict=True)
+    ]
+    table = latex_text(given).split(r"\begin{table}")[-1]
+    bold = re.findall(r"textbf{([^}]*)}", table)
+    assert bold == ([best, "100"] if best else [])
+    marked = [row for row in csv.DictReader(io.StringIO(csv_text(given))) if "ukf" in row["metric"]]
+    assert {row["best"] for row in marked} == ({"true", "false"} if best else {"false"})

@@ -56,6 +56,33 @@ def test_an_edit_of_a_named_file_changes_the_hash(yard, name, counts):
     assert (predictor_digest(NAME) != before) is counts
 
 
+IMPORTED = {
+    "helper.py": "import nets.deep",
+    "nets/__init__.py": "",
+    "nets/deep.py": "from . import b",
+    "nets/b.py": "x = 1",
+    "late.py": "def broken(:",
+    "bare/one.py": "import numpy",  # of a folder without __init__.py
+}
+
+
+@pytest.mark.parametrize("name", IMPORTED)
+def test_an_edit_of_an_imported_module_beside_it_changes_the_hash(yard, name):
+    """Also of one that another one imports, that a method imports, or of a package."""
+    for each, text in {**IMPORTED, "plot.py": ""}.items():
+        (yard / each).parent.mkdir(exist_ok=True)
+        (yard / each).write_text(text)
+    late = "    def estimate(self):\n        import late, numpy, bare.one\n"
+    (yard / "yard_predict.py").write_text(f"import helper\n{MAIN}{late}")
+    before = predictor_digest(NAME)
+    (yard / "plot.py").write_text("a script that it does not import")
+    assert predictor_digest(NAME) == before
+    (yard / name).write_text("x = 2")
+    assert predictor_digest(NAME) != before
+    for each in ("helper", "nets", "nets.deep", "nets.b"):
+        sys.modules.pop(each, None)
+
+
 def test_a_result_is_computed_again_after_an_edit(yard, tmp_path):
     settings = Settings(
         scenarios=("turn",),

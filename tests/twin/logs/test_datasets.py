@@ -153,6 +153,25 @@ def test_the_command_that_missing_particulars_name_works(tmp_path, name):
     assert particulars_for_log(path).length == 2.0
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            '[columns]\nt_s = "time"\n',
+            r"\[columns\].*mapping is mine\.mapping\.toml.*--ship",
+        ),
+        ('[position]\nlatitude = "lat"\nlongitude = "lon"\n', r"\[position\].*mapping"),
+        ("[tool.logger]\nrate = 3\n[a]\n", r"\[a\], \[tool\]: give it another name"),
+    ],
+)
+def test_another_file_with_the_name_of_a_log_is_named(tmp_path, text, words):
+    path = tmp_path / "mine.csv"
+    path.write_text("t_s\n", encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ParticularsError, match=rf"mine\.toml: has the name of .*{words}"):
+        particulars_for_log(path)
+
+
 def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):
     path = tmp_path / "mine.csv"
     path.write_text("t_s\n", encoding="utf-8")

@@ -133,6 +133,17 @@ OTHERS = {
     b"Lat: 41.5000, Lon: -70.600, Heading: 90.5\n" * 3: "a file of lines of names and values",
     b"ULog\x01\x12\x35\x01": "a log of PX4",
     b"PK\3\4\x14\0": "a spreadsheet",
+    b"\x0e\x10\x43\x08\x78\x06\x09\x00.FIT\0\0": "a GPX track or one of its kind",
+    b"AXXXABC FLIGHT:1\nHFFXA035\nB1602405107126N00149300WA0028000421\n": "a GPX track or one",
+    b"09:30:00.123 R 09F80102 CC 9D 25 12 34 56 78 9A\n": "a record of a CAN bus",
+    b"A093000.123 09FF7 1FA01 2FA0B4\n": "a record of a CAN bus",
+    b"---\nlatitude: 41.5\nlongitude: -70.6\n---\nlatitude: 41.5\n": "YAML",
+    b"header:\n  stamp:\n    sec: 1\n---\nheader:\n": "YAML",
+    b'received_at,protocol,raw_data\n2024,NMEA0183,"$GPRMC,093000.00,A"\n': "CSV of NMEA 0183",
+    b"\x93NUMPY\x01\x00v\x00{'descr'": "a NumPy array",
+    b"# Main particulars for the twin.\n\n[particulars]\nlength = 2.0\n": "TOML",
+    b"ARROW1\0\0": "an Arrow or Feather file",
+    b"\xb5\x62\x01\x07\x5c\x00": "a record of a u-blox receiver",
 }
 
 

@@ -104,6 +104,13 @@ def test_cut_lines_and_midnight_cost_no_row(tmp_path: Path) -> None:
     assert np.isfinite(log.z[:, 0]).sum() >= SECONDS - 1
 
 
+def test_zda_gives_the_date(tmp_path: Path) -> None:
+    zda = sentence("GPZDA,093000.00,03,05,2024,00,00")
+    log = Log.read(written(tmp_path / "a.nmea", [zda, *lines(first="GLL")]))
+    assert log.datum is not None
+    assert log.datum.utc(log.t[:1])[0] == np.datetime64("2024-05-03T09:30:00")  # type: ignore[index]
+
+
 def test_what_a_log_of_sentences_lacks_is_said(tmp_path: Path) -> None:
     path = written(tmp_path / "a.nmea", lines())
     path.with_name("a.mapping.toml").unlink()
@@ -112,7 +119,7 @@ def test_what_a_log_of_sentences_lacks_is_said(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "a log of NMEA 0183" in " ".join(result.output.split())
     bare = [text for text in lines() if "HDG" not in text]
     path = written(tmp_path / "a.nmea", bare)
-    assert "column(s) compass_rad missing" in refused(path)
+    assert "column(s) compass_rad missing" in (said := refused(path)) and "PASHR" in said
     assert any("no heading has come; DPT: not followed" in note for note in read_table(path).notes)
     written(path, [text for text in bare if "DPT" in text])
     assert "no sentence tells the time" in refused(path)

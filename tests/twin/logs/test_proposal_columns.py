@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from twin.channels import MEASUREMENTS
 from twin.cli.main import app
+from twin.integrity.log_check import check_log
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.proposal.header_words import other_side
@@ -85,7 +87,8 @@ def test_a_yaw_rate_is_no_heading(tmp_path: Path, name: str) -> None:
             ("Steering", "Throttle"),
             ("rudder servo", "motor pwm"),
         ),
-        *(("servo_helm", "esc"), ("delta_us", "pwm")),
+        *(("servo_helm", "esc"), ("delta_us", "pwm"), ("str_out", "thr_out"), ("Lenkung", "Gas")),
+        *(("Ruderlage", "Gashebel"), ("timón", "acelerador"), ("barre", "moteur")),
     ],
 )
 def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[str, str]) -> None:
@@ -99,6 +102,49 @@ def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[s
     assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(angle), abs=1e-6)
 
 
+def skid_boat() -> Columns:
+    """Return the boat with two columns that are mixed into its thrusters."""
+    columns = boat()
+    left, right = columns.pop("rpm_left") / 60.0, columns.pop("rpm_right") / 60.0
+    columns["steering_pwm"] = 1500.0 + 25.0 * (left - right)
+    columns["throttle_pwm"] = 1500.0 + 25.0 * (left + right)
+    return columns
+
+
+def test_throttle_and_steering_of_two_thrusters_are_mixed(tmp_path: Path) -> None:
+    """What is asked can be pasted: left is throttle plus steering, right throttle minus it."""
+    columns = skid_boat()
+    columns["throttle_pwm"][-30:] = columns["steering_pwm"][-30:] = 0.0  # disarmed
+    path = write(tmp_path / "a.csv", columns)
+    text, log = mapped(path)
+    assert np.ptp(log.cmd[:, 2]) > 0.0
+    lines = re.findall(r"(throttle|steering) = (\{[^}]*\})", text)
+    assert {name for name, _ in lines} == {"throttle", "steering"}
+    mapping = tmp_path / "a.mapping.toml"
+    kept = [line for line in mapping.read_text().split("\n") if line[:5] not in ("n_rps", "delta")]
+    table = [f"{name} = {value}" for name, value in dict(lines).items()]
+    mapping.write_text("\n".join([*kept, "[skid_steering]", *table]))
+    log, truth = Log.read(path), boat()
+    for side, name in enumerate(("rpm_left", "rpm_right")):
+        assert log.cmd[:-30, side] == pytest.approx(truth[name][:-30] / 60.0, abs=1e-6)
+        assert (log.cmd[-30:, side] == log.cmd[-31, side]).all()
+    assert not log.cmd[:, 2:].any()
+    found = check_log(path)
+    assert not any(finding.severity == "error" for finding in found.findings)
+
+
+def test_one_column_of_both_shafts_has_no_wrong_side(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", skid_boat())
+    mapped(path)
+    assert {finding.sensor for finding in check_log(path).findings}.isdisjoint(("left", "right"))
+
+
+def test_a_boat_with_a_rudder_is_not_asked_for_two_thrusters(tmp_path: Path) -> None:
+    columns = renamed(boat(), rpm_left="shaft_rpm", rpm_right="rudder_deg")
+    columns["rudder_deg"] = 0.01 * columns["rudder_deg"]
+    assert "skid" not in mapped(write(tmp_path / "a.csv", columns))[0]
+
+
 PAIRS = [
     ("servo1", "servo3"),
     ("SERVO_OUTPUT_RAW.servo1_raw", "SERVO_OUTPUT_RAW.servo3_raw"),
@@ -108,6 +154,61 @@ PAIRS = [
     ("esc0", "esc1"),
     ("thruster_0_rpm", "thruster_1_rpm"),
 ]
+
+SIDED = [
+    *(("motor_bb", "motor_sb"), ("esc_lf", "esc_rt"), ("moteur_bâbord", "moteur_tribord")),
+    *(("motore_sinistra", "motore_destra"), ("gauche", "droite"), ("thr_lh", "thr_rh")),
+]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("pair", SIDED)
+def test_sides_in_other_words_are_known(
+    tmp_path: Path, pair: tuple[str, str], reverse: bool
+) -> None:
+    columns = boat()
+    both = dict(zip(pair, (columns.pop("rpm_left"), columns.pop("rpm_right")), strict=True))
+    columns |= dict(reversed(both.items())) if reverse else both
+    _, log = mapped(write(tmp_path / "a.csv", columns))
+    truth = boat()
+    for side, name in enumerate(("rpm_left", "rpm_right")):
+        assert log.cmd[:, side] == pytest.approx(truth[name] / 60.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("names", [("Breite", "Länge"), ("latitud", "longitud")])
+def test_places_in_other_languages_are_known(tmp_path: Path, names: tuple[str, str]) -> None:
+    columns = renamed(boat(), lat=names[0], lon=names[1])
+    _, log = mapped(write(tmp_path / "a.csv", columns))
+    assert log.datum is not None and log.datum.latitude == pytest.approx(LATITUDE, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("Steering (%)", 60.0),
+        ("rudder", 12.0),
+        ("rudder", 0.4),
+        ("p", 2.0),
+        ("gyro_x", 0.1),
+        ("AccX", 0.3),
+    ],
+)
+def test_a_unit_that_the_values_leave_open_is_asked(
+    tmp_path: Path, name: str, values: float
+) -> None:
+    columns = boat()
+    columns[name] = values * np.sin(0.1 * columns["time_s"])
+    found = propose(write(tmp_path / "a.csv", columns))
+    asked = rf"{re.escape(name)}: (deg|g or ).* taken"
+    assert any(re.match(asked, text) for text in found.questions)
+
+
+@pytest.mark.parametrize("name", ["TWS", "TWD", "AWS", "AWA"])
+def test_marks_of_wind_are_no_values(tmp_path: Path, name: str) -> None:
+    columns = boat()
+    columns[name] = np.where(np.arange(ROWS) % 9, 5.0 + np.sin(columns["time_s"]), -9999.0)
+    found = propose(write(tmp_path / "a.csv", columns))
+    assert any("empty = [-9999]" in line for line in found.lines["columns"])
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -202,6 +303,8 @@ CELLS: list[Callable[[float, str], str]] = [
     lambda size, side: f"{int(size)}° {size % 1.0 * 60.0:.8f}' {side}",
     lambda size, side: f"{int(size) - 1} 60 {size % 1.0 * 3600.0:.6f} {side}",
     lambda size, side: f"{100 * int(size) + size % 1.0 * 60.0:.8f}{side[0]}",
+    lambda size, side: f"{int(size) - 1}-60-{size % 1.0 * 3600.0:.6f}{side}",
+    lambda size, side: f"{side[0]} {int(size)}:{size % 1.0 * 60.0:.8f}",
 ]
 
 
@@ -293,7 +396,7 @@ def proposed(path: Path) -> tuple[str, Log]:
     return " ".join(result.output.split()), Log.read(path)
 
 
-@pytest.mark.parametrize("mark", ["0", "65535"])
+@pytest.mark.parametrize("mark", ["0", "65535", "-1"])
 @pytest.mark.parametrize("rows", [range(60), range(200, 260), range(5, 600, 50)])
 def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: range) -> None:
     path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k in rows else str(1700 + k % 7))

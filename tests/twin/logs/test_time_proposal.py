@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.cli.main import app
-from twin.logs.dates import Midnight, past_midnight
+from twin.logs.dates import Midnight, date_formats, dates, past_midnight
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.proposal.propose import propose
@@ -125,10 +125,12 @@ def test_an_ambiguous_zone_asks(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "-05:00" in result.output
 
 
-@pytest.mark.parametrize("head", ["Time (CEST)", "DateTime UTC+2", "Ortszeit", "time (Oslo)"])
+@pytest.mark.parametrize(
+    "head", ["Time (CEST)", "DateTime UTC+2", "Time_CEST", "Ortszeit", "time (Oslo)"]
+)
 def test_a_zone_in_the_header_or_asked_for_is_written_and_used(tmp_path: Path, head: str) -> None:
     path = write(tmp_path / "run.csv", head, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
-    told = head in ("Time (CEST)", "DateTime UTC+2")
+    told = head in ("Time (CEST)", "DateTime UTC+2", "Time_CEST")
     assert told or any("--zone" in question for question in propose(path).questions)
     log = mapped(path, *(() if told else ("--zone", "+02:00")))
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 7200.0)
@@ -139,6 +141,123 @@ def test_a_zone_in_the_header_or_asked_for_is_written_and_used(tmp_path: Path, h
     log = mapped(path, "--zone", "+03:00", "--force")
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH)
     assert any("+03:00 is left out" in text for text in propose(path, "", "+03:00").questions)
+
+
+@pytest.mark.parametrize(
+    ("option", "ahead"),
+    [
+        *(("2", 7200.0), ("+2", 7200.0), ("-5", -18000.0), ("UTC+5:30", 19800.0)),
+        *(("0930", 34200.0), ("CEST", 7200.0), ("Europe/Berlin", 7200.0)),
+        ("America/St_Johns", -9000.0),
+    ],
+)
+def test_a_zone_may_be_bare_hours_or_a_place(tmp_path: Path, option: str, ahead: float) -> None:
+    """Those of a place are of its time of the year: in April summer time."""
+    path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
+    log = mapped(path, f"--zone={option}")
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - ahead)
+
+
+@pytest.mark.parametrize(
+    ("cell", "ahead"),
+    [
+        *(("Europe/Zurich", 7200.0), ("America/Argentina/Ushuaia", -10800.0), ("MESZ", 7200.0)),
+        *(("UTC+02:00", 7200.0), ("GMT-0330", -12600.0), ("UTC", 0.0), ("Z", 0.0)),
+    ],
+)
+def test_a_zone_in_the_cells_is_read(tmp_path: Path, cell: str, ahead: float) -> None:
+    path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} {cell}")
+    log = mapped(path)
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - ahead)
+
+
+def test_a_place_in_the_header_is_a_zone_and_knows_winter(tmp_path: Path) -> None:
+    january = datetime(2024, 1, 5, 11, 58)
+    cells = "{:%Y-%m-%d %H:%M:%S.%f}".format
+    log = mapped(write(tmp_path / "run.csv", "Time (Europe/Oslo)", cells, start=january))
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 91 * 86400.0 - 3600.0)
+
+
+def test_a_clock_of_a_place_goes_on_where_it_is_set_forward(tmp_path: Path) -> None:
+    def cells(t: datetime) -> str:
+        hour = timedelta(hours=1 if t >= datetime(2024, 3, 31, 2) else 0)
+        return f"{t + hour:%Y-%m-%d %H:%M:%S.%f}"
+
+    path = write(tmp_path / "run.csv", "Time", cells, start=datetime(2024, 3, 31, 1, 59))
+    mapped(path, "--zone", "Europe/Berlin")
+
+
+@pytest.mark.parametrize("option", ["Oslo", "EST", "25", "../etc", "summer", "Europe"])
+def test_what_is_no_zone_is_refused_with_the_ways(tmp_path: Path, option: str) -> None:
+    path = write(tmp_path / "run.csv", "Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}")
+    result = CliRunner().invoke(app, ["mapping", str(path), "--zone", option])
+    assert result.exit_code == 2
+    assert "-05:00" in result.output and "Europe/Berlin" in " ".join(result.output.split())
+    mapping = f'[columns]\nt_s = {{ from = "Time", unit = "datetime", zone = "{option}" }}\n'
+    (tmp_path / "run.mapping.toml").write_text(mapping)
+    with pytest.raises(LogError, match=r"t_s: zone .*Europe/Berlin"):
+        Log.read(path)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        *(
+            "5. April {:%Y}",
+            "05-avr-{:%Y}",
+            "5 avril {:%Y},",
+            "5 de abril de {:%Y}",
+            "05.apr.{:%y}",
+        ),
+        *("Fr, 5. Apr. {:%Y}", "vendredi 5 avril {:%Y}", "ven. 5 avr. {:%Y}", "April 5, {:%Y}"),
+        *("5 de abril de {:%Y}", "{:%Y}-Apr-05", "mar 5 abr {:%Y}"),
+    ],
+)
+def test_names_of_months_of_other_languages_are_read(tmp_path: Path, form: str) -> None:
+    path = write(tmp_path / "run.csv", "Zeit", lambda t: f'"{form.format(t)} {t:%H:%M:%S.%f}"')
+    log = mapped(path)
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH, abs=0.01)
+
+
+MONTHS = {
+    "German": "Januar Februar März April Mai Juni Juli August September Oktober November Dezember",
+    "French": "janvier février mars avril mai juin juillet août septembre octobre novembre "
+    "décembre",
+    "Spanish": "enero febrero marzo abril mayo junio julio agosto septiembre octubre noviembre "
+    "diciembre",
+    "Italian": "gennaio febbraio marzo aprile maggio giugno luglio agosto settembre ottobre "
+    "novembre dicembre",
+    "Portuguese": "janeiro fevereiro março abril maio junho julho agosto setembro outubro novembro "
+    "dezembro",
+    "Dutch": "januari februari maart april mei juni juli augustus september oktober november "
+    "december",
+    "Norwegian": "januar februar mars april mai juni juli august september oktober november "
+    "desember",
+    "Danish": "januar februar marts april maj juni juli august september oktober november december",
+    "short German": "Jan Feb Mrz Apr Mai Jun Jul Aug Sep Okt Nov Dez",
+    "short French": "janv. févr. mars avr. mai juin juil. août sept. oct. nov. déc.",
+}
+
+
+@pytest.mark.parametrize("language", MONTHS)
+def test_each_month_is_read(language: str) -> None:
+    texts = [f"3 {name} 2024 10:00:00" for name in MONTHS[language].split()]
+    numbers = [f"2024-{month:02d}-03 10:00:00" for month in range(1, 13)]
+    (form,) = date_formats(texts)
+    assert dates(texts, form.format).tolist() == dates(numbers).tolist()
+
+
+def test_the_dates_of_c_have_the_year_last() -> None:
+    assert date_formats(["Fri Apr 05 11:58:00.25 2024"])[0].format == "%a %b %d %H:%M:%S%.f %Y"
+    texts = ["Fri Apr  5 11:58:00 2024", "Fri Apr  5 11:58:01 2024"]
+    (form,) = date_formats(texts)
+    assert dates(texts, form.format).tolist() == [EPOCH, EPOCH + 1.0]
+    assert date_formats(["Fri Apr  5 11:58:00 CEST 2024"])[0].zone == "CEST"
+
+
+def test_names_of_months_that_are_not_known_are_named_with_the_way_out(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", "time", lambda t: f"5 апреля {t:%Y %H:%M:%S.%f}")
+    assert any("months of other languages" in text for text in propose(path).questions)
 
 
 @pytest.mark.parametrize("names", ["Datum,Uhrzeit", "Fecha,Hora", "Data,Ora", "日期,时间"])
@@ -191,7 +310,7 @@ def test_keys_of_the_time_are_checked(tmp_path: Path) -> None:
     for old, new, words in (
         ('["Date", "Time"]', '["Date"]', "or two"),
         ('unit = "datetime", format = "%d.%m.%Y %H:%M:%S%.f"', 'unit = "s"', "need unit"),
-        (" }", ', zone = "CEST" }', "hours and minutes"),
+        (" }", ', zone = "EST" }', "ahead of UTC, such as -05:00"),
         ('["Date", "Time"], unit = "datetime"', '"Date", unit = "date"', "known here: .*datetime"),
         ('%.f" }', '%.f%#z", zone = "+02:00" }', "none of their own"),
     ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import inspect
 import math
@@ -21,6 +22,7 @@ from twin.sim.wrapper import make_env, make_vector_env
 from usv_gym import SeaState
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv
+from usv_gym.envs.tasks import TASKS
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.faults import FaultError
 from usv_gym.world.sensors import SensorSuite
@@ -183,6 +185,16 @@ def test_an_environment_with_faults_is_made_again_from_the_json_of_its_spec(faul
     for _ in range(200):
         action = env.action_space.sample()
         np.testing.assert_array_equal(env.step(action)[0], again.step(action)[0])
+
+
+@pytest.mark.parametrize("vector", [False, True])
+@pytest.mark.parametrize("name", ["vessel", "task"])
+def test_a_spec_with_an_object_that_has_no_json_names_the_remedy(name: str, vector: bool) -> None:
+    given: Any = usv_gym.Vessel.load("otter") if name == "vessel" else TASKS["station"]
+    env = make(vector, **{name: given})
+    for one in (env, copy.deepcopy(env)):
+        with pytest.raises(UsvTwinError, match=rf"{name}.*name or file.*module:Class"):
+            one.spec.to_json()
 
 
 def test_a_table_that_is_no_fault_is_refused() -> None:

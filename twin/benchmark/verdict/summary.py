@@ -17,6 +17,7 @@ __all__ = [
     "ORACLE",
     "best_first",
     "recorded_blocks",
+    "scope_of",
     "sentence_of",
     "verdict_rows",
 ]
@@ -42,7 +43,8 @@ def verdict_rows(runs: Sequence[Row], settings: Settings) -> list[dict[str, Any]
     - ``ratio``: mean of the two, each over that of persistence on the same runs;
     - ``mae``, ``mse``: pooled as in the paper's Table 4, units mixed;
     - ``_low`` and ``_high`` behind each name: the 95 % bootstrap interval over boats;
-    - ``wins``: in so many runs the position is nearer than that of the ``next`` predictor.
+    - ``wins``: in so many runs the position is nearer than that of the ``next`` predictor;
+    - ``plan``, ``scenarios``, ``cases``: what it is the mean of.
 
     The order is that of ``ratio`` over all runs, or of ``position_m`` without persistence. The
     oracle, which knows the true boat, comes last.
@@ -56,7 +58,7 @@ def verdict_rows(runs: Sequence[Row], settings: Settings) -> list[dict[str, Any]
         "all": runs,
     }
     rows = [
-        {"predictor": name, "loss": loss, **_errors(name, group)}
+        {"predictor": name, "loss": loss, "plan": settings.plans[0], **_errors(name, group)}
         for name in dict.fromkeys(row["predictor"] for row in runs)
         for loss, group in groups.items()
         if any(row["predictor"] == name for row in group)
@@ -92,6 +94,7 @@ def _errors(name: str, runs: Sequence[Row]) -> dict[str, Any]:
     means, draws = scale * own.mean(axis=0), scale * resampled(own)
     found: dict[str, Any] = {
         "runs": sum(row["predictor"] == name for row in runs),
+        "scenarios": list(dict.fromkeys(row["scenario"] for row in runs)),
         "cases": list(dict.fromkeys(row["case"] for row in runs)),
     }
     for k, key in enumerate(("position_m", "heading_deg", "mae", "mse")):
@@ -115,6 +118,14 @@ def _by_boat(runs: Sequence[Row], predictor: str) -> Array:
     return np.array([np.mean(boats[seed], axis=0) for seed in sorted(boats)])
 
 
+def scope_of(row: Row) -> str:
+    """Return of which scenarios, losses and future commands a row of the verdict is the mean."""
+    cases = ["no loss" if case == "none" else case for case in row.get("cases", ())]
+    names = [" and ".join(part) for part in (row.get("scenarios", ()), cases) if part]
+    plan = {"hold": "held"}.get(row.get("plan", ""), "known")
+    return ", ".join([*names, f"future commands {plan}"])
+
+
 def sentence_of(verdict: Sequence[Row]) -> str:
     """Return the verdict in one sentence; empty where nothing was simulated."""
     names = list(dict.fromkeys(row["predictor"] for row in verdict if row["predictor"] != ORACLE))
@@ -124,7 +135,7 @@ def sentence_of(verdict: Sequence[Row]) -> str:
     first = of.get("none") or of["all"]
     text = (
         f"10 s ahead {names[0]} is {first['position_m']:.2f} m and {first['heading_deg']:.1f} deg "
-        "off in the mean"
+        f"off in the mean ({scope_of(of['all'])})"
     )
     if "none" in of and "any" in of:
         loss = of["any"]

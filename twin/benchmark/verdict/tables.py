@@ -57,7 +57,7 @@ def interval(row: Row, name: str = "") -> str:
 def best_text(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | None:
     """Return the best value of a metric times a factor, as printed; None if nothing is compared.
 
-    The oracle knows the true boat and takes no part.
+    The oracle knows the true boat and takes no part; the ``reference`` of a paired comparison does.
     """
     if metric in NO_RACE:
         return None
@@ -65,6 +65,7 @@ def best_text(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | No
     values = [value for value in values if math.isfinite(value)]
     if len(values) < 2:
         return None
+    values += [factor * row["reference"] for row in rows[:1] if "reference" in row]
     if metric in IDEAL:
         return number(min(values, key=lambda value: abs(value - factor * IDEAL[metric])))
     return number(max(values) if metric in LARGEST else min(values))

@@ -18,15 +18,28 @@ from twin.logs.proposal.header_words import (
     unit_of,
     words_of,
 )
-from twin.logs.proposal.sheet import Columns, Proposal, add_line, is_pulses, known, put
+from twin.logs.proposal.sheet import (
+    Columns,
+    Proposal,
+    add_line,
+    entry,
+    is_pulses,
+    known,
+    marked,
+    put,
+)
 
 __all__ = ["find_commands", "find_pulses"]
 
 _LACKING = "n_left_rps, n_right_rps (or n_rps)"
 
+_PULSES = "scale = 0.02, offset = -30.0"
+"""Of pulse widths, us: 0 at 1500, 10 at 2000."""
+
 
 def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> None:
     """Find shaft speeds and steering angles, of one unit or two; ``given`` ones are known."""
+    alone = []
     for is_named, single, pair, convert in (
         (is_shaft, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
         (is_steering, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
@@ -40,6 +53,7 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
                 convert(target, source, columns, found)
         elif there:
             convert(single, there[0], columns, found)
+            alone.append(there[0])
             if len(there) > 1:
                 found.questions.append(
                     f"{', '.join(there)}: {single} is taken from {there[0]} alone; if two of them "
@@ -50,6 +64,17 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
             add_line(found, "columns", line)
         else:
             found.missing.append(_LACKING)
+    pulses = [is_pulses(columns.numbers[name]) for name in alone]
+    if len(alone) == 2 and pulses[0] == pulses[1] and means(alone[1], NAMES["steering"]):
+        more = _PULSES if pulses[0] else ""
+        lines = " and ".join(
+            entry(key, name, "", marked(columns, name, more))
+            for key, name in zip(("throttle", "steering"), alone, strict=True)
+        )
+        found.questions.append(
+            f"{', '.join(alone)}: of one rudder or drive? A boat that steers by two thrusters has "
+            f"[skid_steering] with {lines}, in place of n_rps and delta_rad"
+        )
 
 
 def _sides(
@@ -104,17 +129,17 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
     if _LACKING not in found.missing or len(pulses) != 2:
         return
     found.missing.remove(_LACKING)
-    found.questions.append(f"{pulses[0]}, {pulses[1]}: left and right? Or throttle and steering?")
-    for target, name in zip(("n_left_rps", "n_right_rps"), pulses, strict=True):
+    sides = sides_of(pulses) or pulses
+    for target, name in zip(("n_left_rps", "n_right_rps"), sides, strict=True):
         _shaft(target, name, columns, found)
+    found.questions.append(f"{sides[0]}, {sides[1]}: left and right? Or throttle and steering?")
 
 
 def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
     values, words = known(columns.numbers[name]), words_of(name)
     most = float(np.abs(values).max(initial=0.0))
     if is_pulses(values) and "rpm" not in words:
-        more = "scale = 0.02, offset = -30.0"
-        put(columns, found, target, name, "", more, "pulse width, 1500 us: stop")
+        put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
     elif "rpm" in words or most > 150.0:
         if "rpm" not in words:
             found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")
@@ -134,9 +159,11 @@ def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
         put(columns, found, target, name, "", more, why)
         return
     most = float(np.abs(values).max(initial=0.0))
-    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "")
+    unit = unit_of(name, ("deg", "rad"))
     if not unit:
-        unit = "rad"
-        found.questions.append(f"{name}: deg or rad? rad is taken, for it is within {most:.2g}")
+        unit = "deg" if most > 1.6 else "rad"
+        found.questions.append(
+            f"{name}: deg, rad or a share of full helm? {unit} is taken: it is within {most:.2g}"
+        )
     why = "above 0 must turn to starboard"
     put(columns, found, target, name, "deg" if unit == "deg" else "", why=why)

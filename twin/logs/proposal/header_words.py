@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import unicodedata
 from collections.abc import Sequence
 
 __all__ = [
@@ -20,14 +21,20 @@ __all__ = [
 ]
 
 SIDES = {
-    "left": r"left|port|ps|l|1|backbord|babord|babor|links",
-    "right": r"right|starboard|stbd|sb|r|2|steuerbord|tribord|estribor|rechts",
+    "left": r"left|port|ps|l|1|bb|lf|lh|backbord|babord|babor|links|gauche|sinistra",
+    "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite|destra",
 }
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
-SHAFT = r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|prop|propeller|esc|engine|revs|gas|gaz"
+SHAFT = (
+    r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
+    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador"
+)
 
-STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm|lenkung|ruder|barre|timon"
+STEER = (
+    r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
+    r"ruderwinkel|barre|safran|timon|timone"
+)
 
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
@@ -35,8 +42,8 @@ PULSE = r"pwm|servo"
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
     r"datum|zeit|uhrzeit|heure|fecha|hora|tijd",
-    "latitude": r"lat|latitude",
-    "longitude": r"lon|lng|long|longitude",
+    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine",
+    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine",
     "north": r"x|north|northing",
     "east": r"y|east|easting",
     "speed": r"sog|speed|spd|velocity|groundspeed",
@@ -54,7 +61,8 @@ NAMES = {
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
     "to_east": r"ve|vele|veast|veleast|velocityeast|vy|vely",
-    "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+",
+    "steering": r"steer|steering|str|helm|lenkung",
+    "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+|rc\d+",
     "wind_speed": r"tws|windspeed",
     "wind_from": r"twd|winddirection|winddir|windfrom",
     "apparent_speed": r"aws|apparentwindspeed|relativewindspeed",
@@ -68,6 +76,7 @@ UNIT_WORDS = {
     "kn": r"kn|kt|kts|knot|knots",
     "kmph": r"kmh|kmph|kph",
     "mps": r"mps|ms1",
+    "mps2": r"mps2|ms2|mpss",
     "degps": r"degps|dps|degs",
     "degpmin": r"degpmin|degmin|dpm",
     "radps": r"radps|rads",
@@ -83,8 +92,9 @@ UNIT_WORDS = {
 
 
 def words_of(name: str) -> list[str]:
-    """Return the words of a column's name, in lower case."""
-    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    """Return the words of a column's name, in lower case and without accents."""
+    plain = unicodedata.normalize("NFKD", name)
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[\u0300-\u036f]", "", plain))
     return [word for word in re.split(r"[^a-z0-9°]+", split.lower()) if word]
 
 

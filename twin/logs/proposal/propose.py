@@ -333,10 +333,13 @@ def _plain(columns: Columns, found: Proposal) -> None:
         unit, more, why = unit_of(name, units), "", ""
         if not unit and meaning in ("gyro_x", "gyro_y") and not unit_of(name, ("radps",)):
             unit = "degps" * _has_unit(found, "gyro_radps", "degps")
+            found.questions.append(f"{name}: deg/s or rad/s? {unit or 'radps'} is taken")
         elif not unit and meaning in ("wind_speed", "apparent_speed"):
             unit = "kn" if _has_unit(found, "speed", "kn") else "mps"
             found.questions.append(f"{name}: m/s or knots? {unit} is taken, as of the boat's speed")
         elif meaning.startswith("accel"):
+            if vertical is None and not unit and not unit_of(name, ("mps2",)):
+                found.questions.append(f"{name}: g or m/s2? m/s2 is taken")
             unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
             if name == vertical and force > 0.0:
                 more, why = "scale = -1.0", "it points up"

@@ -24,6 +24,7 @@ __all__ = [
     "entry",
     "is_pulses",
     "known",
+    "marked",
     "pick",
     "put",
     "read_columns",
@@ -86,15 +87,20 @@ _RARE = 0.01
 and other commands than pulses lie among them."""
 
 
+_ANGLES = "heading", "course", "wind_from", "apparent_from"
+
+_SPEEDS = "speed", "wind_speed", "apparent_speed"
+
+
 def _marks(name: str, values: Array) -> list[float]:
     """Return the numbers of an angle, a speed or a command that are no values."""
     seen = values[np.isfinite(values)]
     pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
     none = (seen < _PULSES_US[0]) | (seen > _PULSES_US[1])
-    if none.any() and (np.isin(seen[none], (0.0, 65535.0)).all() or none.mean() < _RARE):
+    if none.any() and (np.isin(seen[none], (-1.0, 0.0, 65535.0)).all() or none.mean() < _RARE):
         return np.unique(seen[none]).tolist() if len(pulses) else []
-    angle = any(means(name, NAMES[word]) for word in ("heading", "course"))
-    if not angle and not means(name, NAMES["speed"]):
+    angle = any(means(name, NAMES[word]) for word in _ANGLES)
+    if not angle and not any(means(name, NAMES[word]) for word in _SPEEDS):
         return []
     found: list[float] = []
     while len(np.unique(seen)) > 2:
@@ -160,9 +166,16 @@ def put(
     """Take a column, and add the line that makes a column of the log of it."""
     if name in columns.marks:
         numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
-        more = f"{more}, " * bool(more) + f"empty = [{numbers}]"
         found.questions.append(f"{name}: {numbers} is far from all others, and taken as no value")
-    add_line(found, table, entry(target, columns.take(name), unit, more, why))
+    add_line(
+        found, table, entry(target, columns.take(name), unit, marked(columns, name, more), why)
+    )
+
+
+def marked(columns: Columns, name: str, more: str) -> str:
+    """Return further keys of a line, with the numbers of its column that are no values."""
+    numbers = ", ".join(f"{mark:g}" for mark in columns.marks.get(name, ()))
+    return ", ".join(part for part in (more, f"empty = [{numbers}]" * bool(numbers)) if part)
 
 
 def known(values: Array) -> Array:

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from twin.logs.dates import (
     MEANINGS,
     ZONES,
     DateFormat,
+    ahead_of_utc,
     date_formats,
     dates,
     is_day,
@@ -26,6 +28,7 @@ from twin.logs.dates import (
     padded,
     with_zeros,
 )
+from twin.logs.errors import LogError
 from twin.logs.files import number_of
 from twin.logs.proposal.header_words import NAMES, means, unit_of
 from twin.logs.proposal.sheet import Proposal
@@ -105,7 +108,8 @@ def find_time(
         if name not in numbers and name not in coarse and (cell := _first(text, name)):
             found.questions.append(
                 f"{name}: {cell!r} has no format of date and time that is known, or other rows "
-                'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f"'
+                'have another one; state it: unit = "datetime", format = "%d/%m/%Y %H:%M:%S%.f", '
+                "and write months of other languages than those of western Europe as numbers"
             )
     for name in set(named) & set(numbers):
         filled = np.array([number_of(cell) for cell in with_zeros(text[name])], dtype=np.float64)
@@ -186,6 +190,8 @@ def _dated(
         found.questions.append(f"{title}: the log keeps no date; add a column of dates to keep it")
     elif form.startswith("%d%m%y "):
         found.questions.append(f"{names[0]}: taken as day, month, year, as NMEA has it")
+    found.seconds = _whole(found, title, dates(cells, form), dates(with_zeros(cells), form))
+    first = float(np.append(_known(found.seconds), 0.0)[0])
     stated = re.search(r"%#?z|UTC$|GMT$", form)
     if not form:  # ISO 8601
         stated = re.search(r":.*(Z|[+-]\d\d(:?\d\d)?)$", example)
@@ -193,12 +199,12 @@ def _dated(
         zone = ""
     else:
         in_head, name = ("", name) if name else _zone_of(title)
-        in_head = in_head or ZONES.get(name, "")
-        if zone and in_head and zone != in_head:
+        in_head = in_head or ZONES.get(name, name if "/" in name else "")
+        if zone and in_head and ahead_of_utc(zone, first) != ahead_of_utc(in_head, first):
             found.questions.append(f"{title}: {zone} is taken, as asked, though its name says else")
             name = ""
         zone = zone or in_head
-        found.why = f"{name} is {zone}" if name else ""
+        found.why = f"{name} is {zone}" if name != zone and name else ""
         if not zone and name and not formats[0].zone and name not in MEANINGS:
             found.questions.append(f"{title}: {name}: a zone? UTC is taken; else state it: --zone")
             found.why = "dates without a zone count as UTC"
@@ -213,7 +219,6 @@ def _dated(
                 found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
     if zone and zone != "+00:00":
         found.more += f'{", " * bool(found.more)}zone = "{zone}"'
-    found.seconds = _whole(found, title, dates(cells, form), dates(with_zeros(cells), form))
     return found
 
 
@@ -222,10 +227,14 @@ def _zone_of(title: str) -> tuple[str, str]:
     ahead = _AHEAD.search(title)
     if ahead is not None:
         return f"{ahead[1][0]}{int(ahead[1][1:]):02d}:{ahead[2] or '00'}", ""
-    words = re.findall(r"\b[A-Z]{3,4}\b", title)
+    words = re.findall(r"(?<![^\W_])[A-Z]{3,4}(?![^\W_])", title)
     unknown = "".join(re.findall(r"[(\[]([^\W\d][\w/ ]{2,})[)\]]", title)[:1])
     if re.fullmatch(r"[dmyhs/ ]+|.*local.*", unknown, re.IGNORECASE):  # a picture of a date
         unknown = ""
+    if "/" in unknown:
+        with suppress(LogError):
+            ahead_of_utc(unknown)
+            return unknown, ""
     return "", next((word for word in words if word in {**ZONES, **MEANINGS}), unknown)
 
 

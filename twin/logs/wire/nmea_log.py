@@ -22,8 +22,10 @@ from twin.particulars import Particulars
 
 __all__ = ["is_nmea_log", "read_nmea_log"]
 
-_RMC = re.compile(rb"RMC,\d+(?:\.\d*)?,A(?:,[^,]*){6},(\d{6}),")
-"""The date of an RMC that has a fix."""
+_DATE = re.compile(
+    rb"RMC,\d+(?:\.\d*)?,A(?:,[^,]*){6},(\d{4})(\d\d),|ZDA,\d[^,]*,(\d\d,\d\d),\d\d(\d\d),"
+)
+"""Day and month, and year, of an RMC that has a fix or of a ZDA."""
 
 _ANY = Particulars(name="", length=2.0, beam=1.0, draft=0.2, mass=100.0, speed=1.0, shaft_speed=1.0)
 """A feed wants a boat, for the commands that do not come; those are left out here."""
@@ -55,10 +57,10 @@ def _times(path: Path, lines: Sequence[bytes]) -> tuple[int, Array]:
     if not len(known):
         known, stamps = np.flatnonzero(np.isfinite(stamps[1])), stamps[1:]
     if not len(known):
-        came = ", ".join(f"{count} {name}" for name, count in unread.items())
+        came = "".join(f", {count} {name}" for name, count in unread.items())
         raise LogError(
-            f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA); of {len(lines)} lines "
-            f"{came or '0'} (broken: without a checksum, or with a wrong one)"
+            f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA): {len(lines)} lines{came} "
+            "(broken: without a checksum, or with a wrong one)"
         )
     times = np.maximum.accumulate(np.unwrap(stamps[0, known], period=DAY))
     return int(known[0]), np.interp(np.arange(known[0], len(lines)), known, times)
@@ -104,9 +106,10 @@ def read_nmea_log(path: Path, layout: Layout | None) -> Table:
     notes = [note for note in feed.notes if "taken as" not in note]
     notes.append(", ".join(f"{name} {count}" for name, count in feed.counts.items() if count))
     notes += [f"{before} line(s) before the first that tells the time left out"] * (before > 0)
-    epoch, day = None, _RMC.search(b"".join(lines))
+    epoch, day = None, _DATE.search(b"".join(lines))
     if day is not None:
-        midnight = datetime.strptime(day[1].decode(), "%d%m%y").replace(tzinfo=UTC).timestamp()
+        parts = b"".join(part for part in day.groups() if part).replace(b",", b"").decode()
+        midnight = datetime.strptime(parts, "%d%m%y").replace(tzinfo=UTC).timestamp()
         epoch = midnight + feed.stamp_of(0.0)
         notes.append(f"t_s: counted from {date_of(epoch)}")
     data = thinned(data[TIME], data, layout)

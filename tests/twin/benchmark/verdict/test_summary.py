@@ -53,6 +53,12 @@ def test_sentence_names_metres_degrees_ratio_and_the_next():
     text = sentence_of(verdict_rows(runs(), SETTINGS))
     for part in ("var", "2.50 m", "2.5 deg", "3.75 m", "0.12 [0.12, 0.12]", "ukf", "8 of 8"):
         assert part in text
+    assert "(turn, no loss and gps10, future commands known)" in text
+    held = Settings(plans=("hold",), predictors=("persistence", "ukf"))
+    rows = [{**row, "plan": "hold"} for row in runs()]
+    assert "(turn, no loss and gps10, future commands held)" in sentence_of(
+        verdict_rows(rows, held)
+    )
     alone = sentence_of(verdict_rows(runs(("ukf",), seeds=1), SETTINGS))
     assert "ukf" in alone and "persistence" not in alone and "next" not in alone
     assert sentence_of([]) == ""
