@@ -30,7 +30,7 @@ AFTER_S = 30.0  # time until the boat is scored again
 LOSS_S = 39.0  # of GPS, in simulated runs from 80 s on
 
 UPDATE, WEIGHT = "twin/predictors/plus_update.py", "twin/identification/data_weight.py"
-FORECAST, PLUS = "twin/predictors/plus_forecast.py", "twin/predictors/dsw_ukf_plus.py"
+FORECAST, PLUS = "twin/predictors/forecast.py", "twin/predictors/dsw_ukf_plus.py"
 SETTINGS, CHANGE = "twin/identification/filter_settings.py", "twin/identification/change.py"
 SCALE, WAVES = "twin/identification/interval_scale.py", "twin/identification/wave_residual.py"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
@@ -22,7 +20,7 @@ from twin.identification.data_weight import (
     select_trust,
     selector_state,
 )
-from twin.identification.interval_scale import RECORD, compare_segment, record_work
+from twin.identification.interval_scale import compare_segment, record_work
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -49,13 +47,12 @@ from twin.identification.segments import (
 )
 from twin.identification.wave_residual import (
     ORDER,
-    SECTOR_SIZE,
-    SECTORS,
     fit_sector_ar,
     fit_waves,
     heading_kernel,
     sector_work_size,
 )
+from twin.identification.window import WINDOW, all_good, last_row, observer_gain
 from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
 from twin.model.structure import N_STATES, ModelTerms, current_of
@@ -76,27 +73,16 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
 __all__ = [
-    "OBSERVER_GAIN",
     "WAVE_WORK",
-    "WINDOW",
     "PlusConfig",
     "PlusMemory",
     "PlusWork",
-    "observer_gain",
     "plus_config_of",
     "plus_step",
     "plus_work_of",
     "refit_work",
     "update_plus",
 ]
-
-OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
-too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
-
-GAIN_OF_SHIP = 2.0
-"""The same in nominal speeds over length. An observer much faster than its ship follows what the
-model leaves out, and its residual says no more of it."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
@@ -108,23 +94,6 @@ valid ones. Earlier residuals also hold what was not yet learned."""
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
-
-WINDOW = np.dtype(
-    [
-        ("origin", "f8"),  # time of the grid's origin, s
-        ("halves", "f8"),  # half grid steps since then
-        ("last", "f8", N_STATES),  # navigation state of the row before
-        ("last_act", "f8", N_ACT),  # actuators of the row before
-        ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
-        ("next_start", "f8"),  # first row of the next segment
-        ("refit_at", "f8"),  # time of the next refit, s
-        ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
-        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
-        ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
-        *RECORD,
-    ]
-)
-"""What a predictor remembers of its observer, window and waves, besides the rows."""
 
 
 class PlusMemory(NamedTuple):
@@ -170,12 +139,6 @@ def refit_work(work, p, capacity):
         change_work(work.change, p, capacity),
         record_work(work.spread, p),
     )
-
-
-@inlined
-def observer_gain(config):
-    """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
-    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
 
 
 @inlined
@@ -230,21 +193,6 @@ def _record(t, dt, good, nav, window, state, rows):
         last[k] = n[k]
     for k in range(N_ACT):
         last_act[k] = act[k]
-
-
-@inlined
-def last_row(window):
-    """Return the number of the newest complete row of the window; -1 if there is none."""
-    return int(window.halves) // 2 - 1
-
-
-@kernel
-def all_good(first, last, rows):
-    """Return whether the rows from first to last, the last included, may be fitted."""
-    good = True
-    for k in range(first, last + 1):
-        good = good and rows[k % rows.shape[0], GOOD] > 0.0
-    return good
 
 
 @kernel

@@ -28,7 +28,7 @@ from twin.model.rollout import GRID, SWAY_INERTIA_RATIO
 from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
-from twin.predictors.plus_forecast import past_waves
+from twin.predictors.forecast import past_waves
 from twin.predictors.plus_update import (
     GAP_GOOD,
     OBSERVER_GAIN,
