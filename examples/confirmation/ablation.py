@@ -52,7 +52,6 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "if not _may_change(newest, state.count):", "if True:")],
         [CHANGE, f"{WEIGHT}:_test_for_change", f"{WEIGHT}:_begin_after", f"{WEIGHT}:_may_change"],
     ),
-    "head start by data weight": ([(WEIGHT, "FOLLOWS = 1.1, 0.5", "FOLLOWS = 1.1, 0.0")], []),
     "short memory of records": ([(WEIGHT, "MEMORIES = 8, (10, 60)", "MEMORIES = 8, (60, 60)")], []),
     "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
     "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
@@ -67,9 +66,8 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     "robust weights": ([(PLUS, "knee=0.1", "knee=1e9")], []),
     "interval scale": ([(SCALE, "if record.compared == 0.0:", "if True:")], [SCALE]),
     "wild draws tamed": ([(FORECAST, "TAMED = (1.0, 0.5, 0.5)", "TAMED = (1.0,)")], []),
-    "error of the observer's start": ([(FORECAST, "START_WAVE = 0.3", "START_WAVE = 0.0")], []),
     "waves predicted": (
-        [(FORECAST, "forecast_waves(out.past,", "forecast_waves(0.0 * out.past,")],
+        [(FORECAST, "past_waves(known, rows, seen, out.past)", "out.past[:] = 0.0")],
         [f"{FORECAST}:past_waves", f"{WAVES}:forecast_waves", f"{WAVES}:fit_waves"],
     ),
     "waves by heading": (
@@ -83,13 +81,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [],
     ),
     "waves drawn": (
-        [
-            (
-                FORECAST,
-                "simulate_waves(window.sectors, out.heading, by_waves",
-                "simulate_waves(0.0 * window.sectors, out.heading, by_waves",
-            )
-        ],
+        [(FORECAST, "    simulate_waves(", "    _ = (")],
         [f"{WAVES}:fit_sector_ar", f"{WAVES}:simulate_waves"],
     ),
     "low-frequency observer": (

@@ -118,9 +118,8 @@ KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
 """Segments that must have been compared, information that they must have on the thrust (see
 ``change.known_before``), and seconds since the last alarm, before another."""
 
-HEAD_START, FOLLOWS = 1.1, 0.5
-"""Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
-trust leaves, from the trust before."""
+HEAD_START = 1.1
+"""Lead that the short refits begin with, in margins."""
 
 TRUST_OF_JOINT = 10.0
 """Trust in the data that goes with the parameters of the joint filter."""
@@ -264,8 +263,7 @@ def _begin_after(changed, first, state, segments, config, model, work):
             count[CHOSEN] = r
     for m in range(len(MEMORIES)):
         for r in range(SHORT, REFITS):
-            lead = HEAD_START - FOLLOWS * abs(math.log10(_TRUSTS[r] / trust))
-            errors[m, r] = errors[m, 0] - lead * MARGINS[m]
+            errors[m, r] = errors[m, 0] - HEAD_START * MARGINS[m]
 
 
 @inlined

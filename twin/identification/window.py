@@ -11,7 +11,7 @@ from twin.model.dynamics import N_ACT
 from twin.model.structure import N_STATES
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["WINDOW", "all_good", "last_row", "observer_gain"]
+__all__ = ["OBSERVER_GAIN", "WINDOW", "all_good", "last_row", "observer_gain"]
 
 OBSERVER_GAIN = 0.5
 """Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
@@ -30,7 +30,6 @@ WINDOW = np.dtype(
         ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
         ("next_start", "f8"),  # first row of the next segment
         ("refit_at", "f8"),  # time of the next refit, s
-        ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
         ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
         *RECORD,

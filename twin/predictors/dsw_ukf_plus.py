@@ -237,7 +237,7 @@ class PlusPredictor(UKFPredictor):
         self.joint.reset()
         window["refit_at"] = -math.inf
         # until waves have been measured: as high as the refit assumes, and white
-        window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
+        window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
 
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:
@@ -309,8 +309,7 @@ class PlusPredictor(UKFPredictor):
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
-        central = self._opened(len(plan), dt)
-        mean_ahead(plan, dt, self.sources, self.boat, central)
+        central = self._mean_forecast(plan, dt)
         mean, (out, every) = central.states[0], self._draws(central, plan, dt)
         K = out.act.shape[0]
         covs = np.empty((K + 1, N_STATES, N_STATES))

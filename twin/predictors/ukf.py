@@ -427,7 +427,7 @@ class ModelPredictor(Predictor):
         )
 
     def _opened(self, K: int, dt: float) -> Forecast:
-        """Return memory of a forecast of K rows, dt apart; the next of as many uses it again."""
+        """Return memory of a forecast of K rows, dt (s) apart."""
         waves = 0 if self.sources.window is None else steps_of_waves(K * dt)
         sizes = len(self.ukf.xi), K, waves
         if self._latest is None or self._latest[0] != sizes:
@@ -435,11 +435,15 @@ class ModelPredictor(Predictor):
         found: Forecast = self._latest[1]
         return found
 
-    def mean(self, plan: Array, dt: float) -> Array:
-        """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
+    def _mean_forecast(self, plan: Array, dt: float) -> Forecast:
+        """Return the mean forecast under a plan; the next of as many rows is written over it."""
         out = self._opened(len(plan), dt)
         mean_ahead(plan, dt, self.sources, self.boat, out)
-        return np.array(out.states[0])
+        return out
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
+        return np.array(self._mean_forecast(plan, dt).states[0])
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
