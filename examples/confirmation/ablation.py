@@ -52,7 +52,6 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "if not _may_change(newest, state.count):", "if True:")],
         [CHANGE, f"{WEIGHT}:_test_for_change", f"{WEIGHT}:_begin_after", f"{WEIGHT}:_may_change"],
     ),
-    "short memory of records": ([(WEIGHT, "MEMORIES = 8, (10, 60)", "MEMORIES = 8, (60, 60)")], []),
     "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
     "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
     "cumulative sum of surprise": (

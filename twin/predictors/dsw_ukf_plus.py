@@ -68,9 +68,6 @@ __all__ = [
 
 Array = NDArray[Any]
 
-UNHURRIED = 1.5
-"""Time scale, in units of the study boat's, from which on segments are too correlated."""
-
 DRAWS_MIN, DRAWS_MAX = 20, 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
@@ -78,9 +75,7 @@ DRAWS_MIN, DRAWS_MAX = 20, 10_000
 def refit_settings(particulars: Particulars) -> RefitSettings:
     """Return the settings of the refit, tuned for 6.336 m at 5.4 m/s, scaled by Froude.
 
-    Times are not scaled: ten minutes are too long to wait for a tanker's model. A ship that takes
-    much longer to sail its length is seen for fewer lengths, by segments that are more correlated,
-    and each counts less.
+    Times are not scaled: ten minutes are too long to wait for a tanker's model.
 
     Source: docs/explanation/twin.md, The refit.
     """
@@ -92,7 +87,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
+        scale=0.15,
         knee=0.1,
     )
 
@@ -195,35 +190,13 @@ class PlusPredictor(UKFPredictor):
         )
         self.normal[2][0] = 0.0
         super().__init__(particulars, settings=filters, seed=seed)
-        ukf_memory, ukf_config, ukf_work = self.memory, self.config, self.work
-        segments = self.segments
-        self.memory = PlusMemory(
-            nav=ukf_memory.nav,
-            filter=ukf_memory.filter,
-            rows=self.rows,
-            window=self._window,
-            selector=self.selector.memory,
-            segments=segments.memory,
-            joint=self.joint.memory,
-        )
-        self.config = PlusConfig(
-            nav=ukf_config.nav,
-            filter=ukf_config.filter,
-            model=ukf_config.model,
-            refit=segments.values,
-            joint=self.joint.constants,
-        )
-        self.work = PlusWork(
-            nav=ukf_work.nav,
-            filter=ukf_work.filter,
-            line=segments.line,
-            solve=segments.scratch,
-            change=segments.changes,
-            waves=np.zeros(WAVE_WORK),
-            spread=segments.spread,
-        )
+        segments, refits = self.segments, (self.selector.memory, self.segments.memory)
+        self.sources = Sources(self.ukf.memory, self.memory.nav, self.rows, self._window)
+        self.memory = PlusMemory(*self.memory, self.rows, self._window, *refits, self.joint.memory)
+        self.config = PlusConfig(*self.config, segments.values, self.joint.constants)
+        scratch = segments.line, segments.scratch, segments.changes
+        self.work = PlusWork(*self.work, *scratch, np.zeros(WAVE_WORK), segments.spread)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
-        self.sources = Sources(self.ukf.memory, ukf_memory.nav, self.rows, self._window)
         self.boat = ForecastConfig(self.ukf.constants, self.ukf.terms, segments.values)
 
     def reset(self) -> None:

@@ -79,7 +79,6 @@ __all__ = [
     "PlusWork",
     "plus_config_of",
     "plus_step",
-    "plus_work_of",
     "refit_work",
     "update_plus",
 ]
@@ -88,9 +87,9 @@ SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
 greatest age (s) of the row before it."""
 
-WAVE_SPAN, LATE_SPAN = 80.0, 60.0
-"""Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
-valid ones. Earlier residuals also hold what was not yet learned."""
+WAVE_SPAN = 60.0
+"""Waves are predicted and drawn from the residuals of this many seconds. Earlier ones also hold
+what was not yet learned."""
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
@@ -246,21 +245,18 @@ def _fit_waves(rows, window, config, work):
     """Fit autoregressions to the last residuals: by sector for the draws, and of the moment."""
     newest, count = last_row(window), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
-    N, late = newest + 1 - first, 0
+    N = newest + 1 - first
     scratch = _waves_work(work, N)
     w, psi, good = scratch.w, scratch.psi, scratch.good
-    for k in range(N - 1, -1, -1):
+    for k in range(N):
         row = rows[(first + k) % rows.shape[0]]
         psi[k], good[k] = row[STATE + PSI], row[GOOD]
         for i in range(3):
             w[k, i] = row[STATE + U + i] - row[LOW + i] if good[k] > 0.0 else 0.0
-        if good[k] > 0.0:
-            count += 1
-            if count <= round(LATE_SPAN / GRID):
-                late = k
+        count += 1 if good[k] > 0.0 else 0
     if count <= 5 * ORDER:
         return
-    fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], scratch.fit)
+    fit_sector_ar(w, psi, good, window.sectors[:], scratch.fit)
     heading = psi[N - 1] + 0.5 * config.period * window.slow[2]
     for k in range(N):
         # both factors of the products that are fitted have it
@@ -317,22 +313,14 @@ def _refit(memory, config, work):
 @inlined
 def plus_config_of(config):
     """Return a configuration by name from a plain tuple."""
-    which, limits, hull = config[2]
-    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3], config[4])
-
-
-@inlined
-def plus_work_of(work):
-    """Return a workspace by name from a plain tuple."""
-    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5], work[6])
+    nav, tight, model, refit, joint = config
+    return PlusConfig(nav, tight, ModelTerms(*model), refit, joint)
 
 
 @kernel
 def update_plus(t, dt, z, cmd, memory, config, work):
     """Do :func:`plus_step` with plain tuples, which numba takes from Python much faster."""
-    nav, tight, rows, window, selector, segments, joint = memory
-    own = PlusMemory(nav, tight, rows, window, selector, segments, joint)
-    plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
+    plus_step(t, dt, z, cmd, PlusMemory(*memory), plus_config_of(config), PlusWork(*work))
 
 
 @inlined

@@ -310,9 +310,8 @@ def tight_step(dt, z, cmd, memory, config, work):
 @kernel
 def _update(dt, z, cmd, memory, config, work):
     """Do :func:`tight_step` with plain tuples, which numba takes from Python much faster."""
-    which, limits, hull = config[2]
-    given = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
-    tight_step(dt, z, cmd, UKFMemory(memory[0], memory[1]), given, UKFWork(work[0], work[1]))
+    given = UKFConfig(config[0], config[1], ModelTerms(*config[2]))
+    tight_step(dt, z, cmd, UKFMemory(*memory), given, UKFWork(*work))
 
 
 @inlined

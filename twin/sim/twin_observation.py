@@ -44,7 +44,7 @@ from twin.predictors.forecast import (
     mean_products,
     sigma_covariances,
 )
-from twin.predictors.plus_update import PlusMemory, plus_config_of, plus_step, plus_work_of
+from twin.predictors.plus_update import PlusMemory, PlusWork, plus_config_of, plus_step
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from twin.sim.forecast_scores import (
     Buffers,
@@ -568,7 +568,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
 @kernel
 def observe_plus(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
-    boats, config, work = Boats(*boats), plus_config_of(config), plus_work_of(work)
+    boats, config, work = Boats(*boats), plus_config_of(config), PlusWork(*work)
     model, settings = config.model, as_record(boats.settings, SETTINGS)
     given = filter_config(config.filter, model)
     of_boat = ForecastConfig(config.filter, model, config.refit)
