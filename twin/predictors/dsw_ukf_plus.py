@@ -68,6 +68,9 @@ __all__ = [
 
 Array = NDArray[Any]
 
+UNHURRIED = 1.5
+"""Time scale, in units of the study boat's, from which on segments are too correlated."""
+
 DRAWS_MIN, DRAWS_MAX = 20, 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
@@ -75,7 +78,9 @@ DRAWS_MIN, DRAWS_MAX = 20, 10_000
 def refit_settings(particulars: Particulars) -> RefitSettings:
     """Return the settings of the refit, tuned for 6.336 m at 5.4 m/s, scaled by Froude.
 
-    Times are not scaled: ten minutes are too long to wait for a tanker's model.
+    Times are not scaled: ten minutes are too long to wait for a tanker's model. A ship that takes
+    much longer to sail its length is seen for fewer lengths, by segments that are more correlated,
+    and each counts less.
 
     Source: docs/explanation/twin.md, The refit.
     """
@@ -87,7 +92,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15,
+        scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
         knee=0.1,
     )
 
