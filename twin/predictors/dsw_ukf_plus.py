@@ -195,12 +195,15 @@ class PlusPredictor(UKFPredictor):
         )
         self.normal[2][0] = 0.0
         super().__init__(particulars, settings=filters, seed=seed)
-        segments, refits = self.segments, (self.selector.memory, self.segments.memory)
-        self.sources = Sources(self.ukf.memory, self.memory.nav, self.rows, self._window)
-        self.memory = PlusMemory(*self.memory, self.rows, self._window, *refits, self.joint.memory)
-        self.config = PlusConfig(*self.config, segments.values, self.joint.constants)
+        segments, (nav, tight) = self.segments, self.memory
+        self.sources = Sources(tight, nav, self.rows, self._window)
+        refits = self.selector.memory, segments.memory, self.joint.memory
+        self.memory = PlusMemory(nav, tight, self.rows, self._window, *refits)
+        nav, tight, model = self.config
+        self.config = PlusConfig(nav, tight, model, segments.values, self.joint.constants)
+        nav, tight = self.work
         scratch = segments.line, segments.scratch, segments.changes
-        self.work = PlusWork(*self.work, *scratch, np.zeros(WAVE_WORK), segments.spread)
+        self.work = PlusWork(nav, tight, *scratch, np.zeros(WAVE_WORK), segments.spread)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
         self.boat = ForecastConfig(self.ukf.constants, self.ukf.terms, segments.values)
 
