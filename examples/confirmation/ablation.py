@@ -32,6 +32,7 @@ LOSS_S = 39.0  # of GPS, in simulated runs from 80 s on
 UPDATE, WEIGHT = "twin/predictors/plus_update.py", "twin/identification/data_weight.py"
 FORECAST, PLUS = "twin/predictors/forecast.py", "twin/predictors/dsw_ukf_plus.py"
 SETTINGS, CHANGE = "twin/identification/filter_settings.py", "twin/identification/change.py"
+WINDOW = "twin/identification/window.py"
 SCALE, WAVES = "twin/identification/interval_scale.py", "twin/identification/wave_residual.py"
 
 Patch = tuple[str, str, str]
@@ -84,7 +85,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [f"{WAVES}:fit_sector_ar", f"{WAVES}:simulate_waves"],
     ),
     "low-frequency observer": (
-        [(UPDATE, "min(OBSERVER_GAIN, GAIN_OF_SHIP", "min(1e3 * OBSERVER_GAIN, GAIN_OF_SHIP")],
+        [(WINDOW, "min(OBSERVER_GAIN, GAIN_OF_SHIP", "min(1e3 * OBSERVER_GAIN, GAIN_OF_SHIP")],
         [f"{UPDATE}:_slow_step"],
     ),
     "current": (
