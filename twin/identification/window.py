@@ -30,6 +30,7 @@ WINDOW = np.dtype(
         ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
         ("next_start", "f8"),  # first row of the next segment
         ("refit_at", "f8"),  # time of the next refit, s
+        ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
         ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
         *RECORD,

@@ -218,7 +218,7 @@ class PlusPredictor(UKFPredictor):
         self.joint.reset()
         window["refit_at"] = -math.inf
         # until waves have been measured: as high as the refit assumes, and white
-        window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
+        window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
 
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:

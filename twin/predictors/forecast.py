@@ -77,6 +77,9 @@ PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
 WAVE_GAIN = 0.25
 """The gain of the predicted waves, 1/s: half of them carry the boat to and fro, and pass."""
 
+START_WAVE = 0.3
+"""Error of the observer's velocity, in standard deviations of the waves."""
+
 TAMED = (1.0, 0.5, 0.5)
 """Parts of their deviation from the mean that parameters of a wild draw keep, in turn, until a
 boat could sail it. The first is whole: that rollout has steps of its own."""
@@ -437,8 +440,10 @@ def draw_ahead(mean, mean_dt, sources, config, normal, out):
     for i in range(N_STATES):
         for k in range(N_STATES):
             small[i, k] = P_nav[i, k]
-        if i >= 3 and nav.commands_doubted > 0.0:
-            small[i, i] += (DOUBTED * given.envelope[i - 3]) ** 2
+        if i >= 3:
+            small[i, i] += (START_WAVE * window.wave_sd[i - 3]) ** 2
+            if nav.commands_doubted > 0.0:
+                small[i, i] += (DOUBTED * given.envelope[i - 3]) ** 2
     cholesky(small, small, out.line)
     out.shocks[:] = 0.0
     for d in range(D + 1):

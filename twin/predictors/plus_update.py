@@ -257,6 +257,13 @@ def _fit_waves(rows, window, config, work):
     if count <= 5 * ORDER:
         return
     fit_sector_ar(w, psi, good, window.sectors[:], scratch.fit)
+    for i in range(3):
+        mean, square = 0.0, 0.0
+        for k in range(N):
+            mean += w[k, i] / count
+        for k in range(N):
+            square += (w[k, i] - mean) ** 2 / count if good[k] > 0.0 else 0.0
+        window.wave_sd[i] = math.sqrt(square)
     heading = psi[N - 1] + 0.5 * config.period * window.slow[2]
     for k in range(N):
         # both factors of the products that are fitted have it

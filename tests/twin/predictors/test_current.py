@@ -8,7 +8,6 @@ import pytest
 from twin import Twin
 from twin.channels import MEASUREMENTS
 from twin.identification.data_weight import CHANGED
-from twin.identification.prediction_error import GOOD, LOW, STATE
 from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
@@ -72,9 +71,7 @@ def test_rough_models_are_bounded(log, seed):
         assert (np.abs(slow - seen) <= 0.125 * predictor.ukf.envelope + 1e-9).all()
     ahead = twin.predict("hold").mean[:, 3:]
     assert np.isfinite(ahead).all()
-    rows = predictor.rows[predictor.rows[:, GOOD] > 0.0]
-    waves = np.std(rows[:, STATE + 3 : STATE + 6] - rows[:, LOW : LOW + 3], axis=0)
-    assert (np.abs(ahead) <= bounds + 3.0 * waves + 0.5).all()
+    assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
 
 
 def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
