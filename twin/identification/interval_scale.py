@@ -4,7 +4,8 @@ Each segment that is over is forecast again from its first row, with the paramet
 then. A few more forecasts have parameters and velocities moved by one standard deviation, up or
 down. The signs are Walsh functions, whose products average to zero over 64 forecasts. So the mean
 square of the deviations is the claimed variance. Waves are left out, which makes it too small.
-Where the errors were smaller still, the intervals shrink.
+Where the errors were smaller still, the intervals shrink. As the errors are few, their size is
+uncertain: the factor is that of Student's t.
 
 Intervals never grow. An error larger than that of parameters and velocities comes from waves, and
 these have a model of their own.
@@ -48,6 +49,12 @@ MEMORY = 30.0
 
 MOVED = 4
 """Number of moved forecasts of a segment."""
+
+STUDENT = (0.926, 0.863)
+"""Quantile of Student's t over that of the normal distribution, less one, for intervals of 90 %.
+These are its terms of first and second order in the inverse number of errors.
+
+Source: Abramowitz and Stegun 1964, 26.7.5."""
 
 FACTOR_MIN, SHARE_MAX = 0.1, 10.0
 """Least factor of an interval, and largest share of a single error."""
@@ -172,9 +179,13 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
 
 
 @inlined
-def _factor(point, channel, record):
+def _factor(point, channel, record, config):
     """Return the factor of the intervals of a channel at a point of a segment."""
-    return min(max(math.sqrt(record.share[point, channel]), FACTOR_MIN), 1.0)
+    # segments overlap, so that their errors at longer times are less independent
+    apart = min(1.0, config.spacing * POINTS / (config.steps * (point + 1.0)))
+    many = max(min(record.compared, MEMORY) * apart, 1.0)
+    student = 1.0 + STUDENT[0] / many + STUDENT[1] / many**2
+    return min(max(math.sqrt(record.share[point, channel]) * student, FACTOR_MIN), 1.0)
 
 
 @inlined
@@ -187,5 +198,5 @@ def factor_ahead(after, channel, record, config):
         return 1.0
     place = min(max(after / (config.steps * GRID) * POINTS - 1.0, 0.0), POINTS - 1.0)
     k = min(int(place), POINTS - 2)
-    before = _factor(k, channel, record)
-    return before + (place - k) * (_factor(k + 1, channel, record) - before)
+    before = _factor(k, channel, record, config)
+    return before + (place - k) * (_factor(k + 1, channel, record, config) - before)

@@ -399,10 +399,6 @@ class Segments:
         """Take a new segment from row ``first`` on, in the place of the oldest."""
         add(first, rows, xi, self.state, self.config, self.model, self.work)
 
-    def discard_before(self, before: int) -> None:
-        """Forget segments that begin before a row."""
-        discard_before(before, self.state)
-
     def relinearise(self, rows: Array, budget: int) -> None:
         """Relinearise at the present parameters, those that moved most first."""
         relinearise(budget, rows, self.params, self.state, self.config, self.model, self.work)

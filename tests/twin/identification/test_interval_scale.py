@@ -73,6 +73,15 @@ def test_without_errors_to_compare_nothing_shrinks(structure):
     assert factor_of(3.0, 0, new_record(), own.config) == 1.0
 
 
+def test_few_errors_shrink_less_than_many(structure):
+    config, record = segments(structure, structure.mean).config, new_record()
+    record["share"][:] = 0.2
+    factors = []
+    for record["compared"] in (2.0, 8.0, 30.0):
+        factors.append(factor_of(5.0, 0, record, config))
+    assert factors[0] > factors[1] > factors[2] > np.sqrt(0.2)
+
+
 def test_a_share_of_nothing_leaves_a_least_interval(structure):
     own, record = segments(structure, structure.mean), new_record()
     record["compared"] = 30.0
