@@ -53,7 +53,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "if not _may_change(newest, state.count):", "if True:")],
         [CHANGE, f"{WEIGHT}:_test_for_change", f"{WEIGHT}:_begin_after", f"{WEIGHT}:_may_change"],
     ),
-    "thrust known before a change": ([(WEIGHT, "= 30.0, 20.0", "= 0.0, 20.0")], []),
+    "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
     "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
     "cumulative sum of surprise": (
         [(WEIGHT, "worse - SURPRISE_DRIFT, 0.0", "worse - 1e9, 0.0")],

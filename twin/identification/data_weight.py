@@ -83,8 +83,8 @@ COUNT_MAX = 2.0**52
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 
 ENOUGH, RECORD, MARGIN = 8, 25, 0.25
-"""Segments before anything is chosen or has changed, segments over which the logarithms of squared
-errors are averaged, and by how much another's mean must be lower."""
+"""Segments before anything is chosen, segments over which the logarithms of squared errors are
+averaged, and by how much another's mean must be lower."""
 
 SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
 """The first of the refits with a short span. After a change, they look back to it at most."""
@@ -109,9 +109,9 @@ _NAMES = {
 
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
 
-KNOWN_THRUST, SETTLED = 30.0, 20.0
-"""Information that the segments must have on the thrust (see ``change.known_before``), and seconds
-since the last alarm, before another."""
+KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
+"""Segments that must have been compared, information that they must have on the thrust (see
+``change.known_before``), and seconds since the last alarm, before another."""
 
 HEAD_START = 1.1
 """Lead that the short refits begin with, in margins."""
@@ -260,7 +260,7 @@ def _begin_after(changed, first, state, segments, config, model, work):
 @inlined
 def _may_change(row, count):
     """Return whether enough is known to say that the boat has changed, and not just now."""
-    return count[SCORED] >= ENOUGH and (row - count[ALARM]) * GRID >= SETTLED
+    return count[SCORED] >= KNOWN and (row - count[ALARM]) * GRID >= SETTLED
 
 
 @kernel
