@@ -30,8 +30,9 @@ AFTER_S = 30.0  # time until the boat is scored again
 LOSS_S = 39.0  # of GPS, in simulated runs from 80 s on
 
 UPDATE, WEIGHT = "twin/predictors/plus_update.py", "twin/identification/data_weight.py"
-FORECAST, PLUS = "twin/predictors/plus_forecast.py", "twin/predictors/dsw_ukf_plus.py"
+FORECAST, PLUS = "twin/predictors/forecast.py", "twin/predictors/dsw_ukf_plus.py"
 SETTINGS, CHANGE = "twin/identification/filter_settings.py", "twin/identification/change.py"
+WINDOW = "twin/identification/window.py"
 SCALE, WAVES = "twin/identification/interval_scale.py", "twin/identification/wave_residual.py"
 
 Patch = tuple[str, str, str]
@@ -52,8 +53,6 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "if not _may_change(newest, state.count):", "if True:")],
         [CHANGE, f"{WEIGHT}:_test_for_change", f"{WEIGHT}:_begin_after", f"{WEIGHT}:_may_change"],
     ),
-    "head start by data weight": ([(WEIGHT, "FOLLOWS = 1.1, 0.5", "FOLLOWS = 1.1, 0.0")], []),
-    "short memory of records": ([(WEIGHT, "MEMORIES = 8, (10, 60)", "MEMORIES = 8, (60, 60)")], []),
     "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
     "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
     "cumulative sum of surprise": (
@@ -69,7 +68,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     "wild draws tamed": ([(FORECAST, "TAMED = (1.0, 0.5, 0.5)", "TAMED = (1.0,)")], []),
     "error of the observer's start": ([(FORECAST, "START_WAVE = 0.3", "START_WAVE = 0.0")], []),
     "waves predicted": (
-        [(FORECAST, "forecast_waves(out.past,", "forecast_waves(0.0 * out.past,")],
+        [(FORECAST, "past_waves(known, rows, seen, out.past)", "out.past[:] = 0.0")],
         [f"{FORECAST}:past_waves", f"{WAVES}:forecast_waves", f"{WAVES}:fit_waves"],
     ),
     "waves by heading": (
@@ -83,17 +82,11 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [],
     ),
     "waves drawn": (
-        [
-            (
-                FORECAST,
-                "simulate_waves(window.sectors, out.heading, by_waves",
-                "simulate_waves(0.0 * window.sectors, out.heading, by_waves",
-            )
-        ],
+        [(FORECAST, "    simulate_waves(", "    _ = (")],
         [f"{WAVES}:fit_sector_ar", f"{WAVES}:simulate_waves"],
     ),
     "low-frequency observer": (
-        [(UPDATE, "min(OBSERVER_GAIN, GAIN_OF_SHIP", "min(1e3 * OBSERVER_GAIN, GAIN_OF_SHIP")],
+        [(WINDOW, "min(OBSERVER_GAIN, GAIN_OF_SHIP", "min(1e3 * OBSERVER_GAIN, GAIN_OF_SHIP")],
         [f"{UPDATE}:_slow_step"],
     ),
     "current": (

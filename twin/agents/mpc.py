@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from twin.agents.agent import ControllerError, check_actions, shaft_speeds
 from twin.channels import PSI, U, V, X, Y
 from twin.filters.linalg import cholesky, solve_factored
-from twin.identification.joint_ukf import PRIOR_SHRINKAGE
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import (
     Paths,
@@ -33,6 +32,7 @@ from twin.model.rollout import (
     rollout_size,
 )
 from twin.model.structure import N_STATES
+from twin.predictors.forecast import PRIOR_SHRINKAGE
 from twin.sim.batched_twins import CompiledTwins
 from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv

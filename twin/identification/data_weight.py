@@ -14,7 +14,6 @@ Source: docs/explanation/twin.md, The refit; prequential validation, Dawid 1984.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,13 +82,9 @@ COUNT_MAX = 2.0**52
 
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 
-ENOUGH, MEMORIES = 8, (10, 60)
-"""Segments before anything is chosen, and over which errors are averaged: few, to follow a boat
-that has changed, and many, to see a small difference."""
-
-MARGINS = (0.4, 0.15)
-"""By how much the mean logarithm of another's squared errors must be lower, on average over the
-memories. The shorter the memory, the more of a difference is chance."""
+ENOUGH, RECORD, MARGIN = 8, 25, 0.25
+"""Segments before anything is chosen, segments over which the logarithms of squared errors are
+averaged, and by how much another's mean must be lower."""
 
 SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
 """The first of the refits with a short span. After a change, they look back to it at most."""
@@ -118,9 +113,8 @@ KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
 """Segments that must have been compared, information that they must have on the thrust (see
 ``change.known_before``), and seconds since the last alarm, before another."""
 
-HEAD_START, FOLLOWS = 1.1, 0.5
-"""Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
-trust leaves, from the trust before."""
+HEAD_START = 1.1
+"""Lead that the short refits begin with, in margins."""
 
 TRUST_OF_JOINT = 10.0
 """Trust in the data that goes with the parameters of the joint filter."""
@@ -134,7 +128,7 @@ class SelectorState(NamedTuple):
 
     count: Any  # (6,) see SCORED to ALARM
     surprise: Any  # (1,) evidence that the boat has changed
-    errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
+    errors: Any  # (c,) mean logarithm of each candidate's squared errors
     params: Any  # (c, p) parameters of each candidate
     factors: Any  # (refits, p, p) Cholesky factors of the inverses of the refits' covariances
     past: Any  # (slots, c, p) parameters when recent segments began
@@ -152,7 +146,7 @@ def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
     count, at = take(memory, 0, (6,))
     surprise, at = take(memory, at, (1,))
-    errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
+    errors, at = take(memory, at, (CANDIDATES,))
     params, at = take(memory, at, (CANDIDATES, p))
     factors, at = take(memory, at, (REFITS, p, p))
     past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
@@ -202,10 +196,7 @@ def note(start, spacing, state):
 @inlined
 def _lead(r, errors):
     """Return by how many margins the record of a candidate is better than the first one's."""
-    lead = 0.0
-    for m in range(len(MEMORIES)):
-        lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
-    return lead
+    return (errors[0] - errors[r]) / MARGIN
 
 
 @inlined
@@ -262,10 +253,8 @@ def _begin_after(changed, first, state, segments, config, model, work):
     for r in range(SHORT, REFITS):
         if _TRUSTS[r] <= trust:
             count[CHOSEN] = r
-    for m in range(len(MEMORIES)):
-        for r in range(SHORT, REFITS):
-            lead = HEAD_START - FOLLOWS * abs(math.log10(_TRUSTS[r] / trust))
-            errors[m, r] = errors[m, 0] - lead * MARGINS[m]
+    for r in range(SHORT, REFITS):
+        errors[r] = errors[0] - HEAD_START * MARGIN
 
 
 @inlined
@@ -306,9 +295,8 @@ def score(first, rows, state, config, model, work):
         error = forecast_error(first, rows, xi, model, config, work.line)
         error = math.log(min(max(error, LEAST), MOST))
         if r == int(count[CHOSEN]):
-            worse = min(error - errors[1, r], SURPRISE_MAX)
-        for m in range(len(MEMORIES)):
-            errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
+            worse = min(error - errors[r], SURPRISE_MAX)
+        errors[r] += (error - errors[r]) / min(count[SCORED], RECORD)
     surprise = state.surprise
     surprise[0] = min(max(surprise[0] + worse - SURPRISE_DRIFT, 0.0), SURPRISE_ALARM)
     if not _may_change(first, count):
@@ -341,13 +329,11 @@ def select_trust(newest, state, segments, config, model, work):
         known = Known(_TRUSTS[r], since, work.solve.none, config.information)
         if r >= SHORT and newest - count[CHANGED] < config.span and state.information[0] > 0.0:
             known = Known(_TRUSTS[r], since, state.pull, state.information)
-        if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
+        if solve(params[r], known, ITERATIONS, segments, config, work):
             store_factor(work.solve.U, factors[r])
     if count[SCORED] >= ENOUGH:
         count[CHOSEN] = chosen = _best(state, config)
-    # where less trust, or the prior, forecasts better, it does not make the data say less
-    given = chosen if chosen < REFITS and _TRUSTS[chosen] >= 1.0 else 0
-    use(params[chosen], factors[given], segments, work)
+    use(params[chosen], factors[chosen if chosen < REFITS else 0], segments, work)
 
 
 class TrustSelector:
@@ -355,7 +341,7 @@ class TrustSelector:
 
     The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
     flat, and ``state`` the same by name. Of these, ``params`` (c, p) are the parameters of each
-    candidate, ``errors`` (2, c) the mean logarithms of each one's squared errors.
+    candidate, ``errors`` (c,) the mean logarithms of each one's squared errors.
     """
 
     def __init__(self, segments: Segments) -> None:
@@ -415,18 +401,3 @@ class TrustSelector:
             return None
         inverse = np.linalg.inv(factor)  # the covariance is that times its transpose
         return self.params[best].copy(), np.sqrt(np.sum(inverse**2, axis=1))
-
-    def note(self, starts: Iterable[int]) -> None:
-        """Keep the parameters of all refits for the segments that begin at some rows."""
-        for start in starts:
-            note(start, self.segments.config.spacing, self.state)
-
-    def score(self, first: int, rows: Array) -> None:
-        """Compare what the refits predicted at a segment's first row with what came."""
-        own = self.segments
-        score(first, rows, self.state, own.config, own.model, own.work)
-
-    def solve(self, newest: int) -> None:
-        """Refit with the trust in use and another in turn, and put the best of all to use."""
-        own = self.segments
-        select_trust(newest, self.state, own.state, own.config, own.model, own.work)

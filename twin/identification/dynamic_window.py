@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.checkpoint import State, check_fields
-from twin.identification.lyapunov import rosenstein, rosenstein_length
+from twin.identification.lyapunov import LENGTH_MIN, rosenstein
 from twin.particulars import GRAVITY
 from usv_kernel.errors import UsvTwinError
 
@@ -35,8 +35,8 @@ __all__ = [
     "PERIOD_FORMS",
     "DynamicWindow",
     "WaveProxy",
+    "adapt_noise",
     "adjustment_period",
-    "as_floats",
     "environment_index",
     "nonlinearity_index",
     "variable_part",
@@ -65,6 +65,9 @@ LATERAL_LIMIT = 0.3 * GRAVITY
 NOISE_FORMS = ("literal", "signed")
 """``literal``: Eq 52 as printed, which only grows. ``signed``: the error may be negative."""
 
+NOISE_RANGE = 100.0
+"""Variances of noise stay within this factor of their start."""
+
 EXPONENT_MAX = 50.0
 """Largest exponent in Eq 39; beyond it S is huge anyway, and must stay finite."""
 
@@ -78,7 +81,7 @@ def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
     Source: Qu et al. 2025, Eq 37 as printed, with 1/3 over two terms.
     """
     total = 0.0
-    for values in map(as_floats, (hs, vw)):
+    for values in (np.asarray(hs, dtype=np.float64), np.asarray(vw, dtype=np.float64)):
         known = values[np.isfinite(values)]
         mean = abs(float(known.mean())) if known.size else 0.0
         if mean > 0.0:
@@ -240,7 +243,6 @@ class DynamicWindow:
         self.base = base
         self.cap = base if cap is None else cap
         self.period = period
-        self._need = rosenstein_length()
         self.reset()
 
     def reset(self) -> None:
@@ -316,7 +318,7 @@ class DynamicWindow:
         self.V = environment_index(rows[:, 1], rows[:, 2])
         moving = rows[np.isfinite(rows[:, 3])]
         span = float(moving[-1, 0] - moving[0, 0]) if len(moving) else 0.0
-        if len(moving) >= self._need and span > 0.0:
+        if len(moving) >= LENGTH_MIN and span > 0.0:
             dt = span / (len(moving) - 1)
             self.lambda_max = rosenstein(moving[:, 3], dt=dt)
             self.S = nonlinearity_index(self.lambda_max, self.W, dt)
@@ -326,6 +328,16 @@ class DynamicWindow:
         self.w_r = variable_part(self.V, self.S, self.base, self.cap)
 
 
-def as_floats(values: ArrayLike) -> Array:
-    """Return the values as an array of float64."""
-    return np.asarray(values, dtype=np.float64)
+def adapt_noise(noise: Array, error: Array, gain: float, start: Array, form: str) -> Array:
+    """Return the variances (n,) of a noise after a step of the adaptation.
+
+    ``error`` is that of the state or control. Literal: its size counts, whatever the unit. Signed:
+    squared error minus the variance that the filter expects. NaN (unknown) counts as 0. ``start``
+    are the variances at the start, ``form`` is one of :data:`NOISE_FORMS`.
+
+    Source: Qu et al. 2025, Eq 52 (the text calls it 49). The equation adds a number to a matrix;
+    read as added to each variance.
+    """
+    step = np.nan_to_num(gain * (np.abs(error) if form == "literal" else error), nan=0.0)
+    moved: Array = np.clip(noise + step, start / NOISE_RANGE, start * NOISE_RANGE)  # Eq 52
+    return moved

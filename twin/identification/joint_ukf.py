@@ -1,4 +1,4 @@
-"""State and parameters of the twin's model in the structured UKF, and their forecast.
+"""State and parameters of the twin's model in the structured UKF.
 
 Memory is flat, because the number of parameters differs from model to model and a type for each
 would compile every kernel again. The openers below are its one definition: kernels get NamedTuples
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import PSI, R, U, V
+from twin.channels import R, U, V
 from twin.filters.navigation_ekf import FINE_MAX
 from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
@@ -21,38 +21,29 @@ from twin.identification.filter_settings import FilterSettings
 from twin.identification.identifiability import accumulate
 from twin.identification.physical_bounds import BOUNDS, physical_bounds
 from twin.model.actuators import follow_all
-from twin.model.augmented import JointState, joint_predict
+from twin.model.augmented import joint_predict
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size, upsample
 from twin.model.structure import N_STATES, N_TERMS
 from twin.particulars import Particulars
-from usv_kernel.arrays import flat_size, named_dtype, python_views, shaped, take
+from usv_kernel.arrays import flat_size, named_dtype, python_views, take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.simd import LANES
 
 __all__ = [
-    "PRIOR_SHRINKAGE",
+    "DOUBTED",
     "FilterConfig",
     "FilterState",
     "FilterWorkspace",
-    "Forecast",
     "JointUKF",
     "accumulate_information",
     "advance",
     "clip_velocities",
-    "drive_share",
     "filter_config",
     "filter_state",
     "filter_workspace",
-    "forecast_buffers",
-    "forecast_covariance",
-    "forecast_mean",
     "information_is_due",
-    "is_plausible",
-    "limit_covariances",
-    "plausible_speed",
+    "process_noise",
     "scale_plan",
-    "shrink_to_prior",
 ]
 
 Array = NDArray[Any]
@@ -60,10 +51,11 @@ Array = NDArray[Any]
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 
+DOUBTED = 0.1
+"""Standard deviation of velocities under doubted commands, in envelopes."""
+
 INFORMATION_STEP, INFORMATION_MAX = 0.25, 1.0
 """Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
-
-_ROLLOUT = rollout_size()
 
 
 class FilterState(NamedTuple):
@@ -112,20 +104,8 @@ class FilterWorkspace(NamedTuple):
     terms: Any  # (N_TERMS,) terms of the model
     accel: Any  # (7,) accelerations for the navigation; see ``navigate``
     mask: Any  # (6,) which states were measured
-    rollout: Any  # of a rollout of one motion
     ahead: Any  # (6 + p,), (6 + p, 6 + p), (4,) mean, covariance and actuators of a forecast
     sigma: Any  # UKFWorkspace
-
-
-class Forecast(NamedTuple):
-    """A plan of K rows in the unit of the structure, and what it leads to."""
-
-    plan: Any  # (K, 4) commands
-    params: Any  # (1, p) parameters
-    states: Any  # (1, K, 6) states at the ends of the rows
-    act: Any  # (K, 4) actuators then
-    covs: Any  # (K, 6, 6) covariances then
-    held: Any  # (K, 4) a command, held, in rev/s and rad
 
 
 @inlined
@@ -183,7 +163,6 @@ def filter_workspace(work, p):
     terms, at = take(work, at, (N_TERMS,))
     accel, at = take(work, at, (N_MODELLED,))
     mask, at = take(work, at, (N_STATES,))
-    scratch, at = take(work, at, (_ROLLOUT,))
     x, at = take(work, at, (n,))
     P, at = take(work, at, (n, n))
     act, at = take(work, at, (N_ACT,))
@@ -192,23 +171,11 @@ def filter_workspace(work, p):
     three, at = take(work, at, (points, width))
     four, at = take(work, at, (points, width))
     sigma = UKFWorkspace(one, two, three, four)
-    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, scratch, (x, P, act), sigma)
+    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, (x, P, act), sigma)
 
 
 @inlined
-def forecast_buffers(work, K, p):
-    """Open the memory of a forecast of K rows with p parameters."""
-    plan, at = take(work, 0, (K, N_ACT))
-    params, at = take(work, at, (1, p))
-    states, at = take(work, at, (1, K, N_STATES))
-    act, at = take(work, at, (K, N_ACT))
-    covs, at = take(work, at, (K, N_STATES, N_STATES))
-    held, at = take(work, at, (K, N_ACT))
-    return Forecast(plan, params, states, act, covs, held)
-
-
-@inlined
-def _process_noise(h, state, config, work):
+def process_noise(h, state, config, work):
     """Write the process noise of a step of h."""
     for i in range(N_STATES):
         work.Q[i, i] = config.q[i] * h
@@ -244,7 +211,7 @@ def advance(dt, cmd, state, config, work):
     dt = min(dt, FINE_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    _process_noise(h, state, config, work)
+    process_noise(h, state, config, work)
     for _ in range(steps):
         follow_all(state.act, cmd, config.lags, config.n_unit, 0.5 * h)
         joint_predict(state, h, config, work)
@@ -275,153 +242,6 @@ def clip_velocities(x, envelope):
     """Clip the velocities of a joint vector to what the boat can do."""
     for i in range(3):
         x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
-
-
-PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
-"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
-
-
-@inlined
-def shrink_to_prior(part, x, prior, params):
-    """Write parameters that lie a part of the way from the prior's to the fitted ones."""
-    for k in range(params.shape[0]):
-        params[k] = prior[k] + part * (x[N_STATES + k] - prior[k])
-
-
-@inlined
-def drive_share(plan, n_nominal, driven):
-    """Return the largest shaft speed of a plan in nominal ones, 1 to ``driven``."""
-    share = 1.0
-    for row in range(plan.shape[0]):
-        share = max(share, abs(plan[row, 0]) / n_nominal, abs(plan[row, 1]) / n_nominal)
-    return min(share, driven)
-
-
-@inlined
-def plausible_speed(k, fastest, nominal, share):
-    """Return the largest of a velocity that is near what was ever seen, or ``share`` nominal."""
-    return max(1.5 * fastest[k], share * nominal[k])
-
-
-@inlined
-def is_plausible(states, fastest, nominal, share):
-    """Return whether velocities stay near what was ever seen, or ``share`` times nominal."""
-    plausible = True
-    for row in range(states.shape[0]):
-        for k in range(3):
-            bound = plausible_speed(k, fastest, nominal, share)
-            plausible = plausible and abs(states[row, 3 + k]) <= bound
-    return plausible
-
-
-@inlined
-def _limit_deviation(cov, i, most):
-    """Scale one deviation of a covariance down, in place, to at most so much."""
-    factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
-    if factor < 1.0:
-        for k in range(cov.shape[0]):
-            cov[i, k] *= factor
-            cov[k, i] *= factor
-
-
-@inlined
-def forecast_mean(plan, dt, state, config, out, work):
-    """Write the states and actuators that a plan leads to, with its rows dt (s) apart.
-
-    ``plan`` (K, 4) has shaft speeds in the unit of the particulars. The parameters are shrunk to
-    the prior's until the motion is plausible; ``out.params`` are those used. Returned is how many
-    steps of the integration one row took, at most.
-    """
-    scale_plan(plan, config.n_unit, out.plan)
-    start = RolloutStart(shaped(state.x, 0, (1, N_STATES)), out.params, state.act, state.wind)
-    none = Waves(shaped(state.x, 0, (1, 0, 3)), 0.0)
-    steps, share = 1, drive_share(out.plan, config.n_nominal, config.driven)
-    for part in PRIOR_SHRINKAGE:
-        shrink_to_prior(part, state.x, config.prior, out.params[0])
-        steps = rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
-        if is_plausible(out.states[0], state.fastest, config.nominal, share):
-            break
-    return steps
-
-
-@inlined
-def forecast_covariance(dt, steps, state, config, out, work):
-    """Write the covariances ``out.covs`` (K, 6, 6) of the state at the ends of the rows of a plan.
-
-    ``out`` and ``steps`` are what :func:`forecast_mean` wrote and returned for the same rows, dt
-    (s) apart.
-    """
-    plan, params, covs = out.plan, out.params[0], out.covs
-    x, P, act = work.ahead
-    ahead = JointState(x, P, act, state.wind)
-    for i in range(x.shape[0]):
-        x[i] = state.x[i] if i < N_STATES else params[i - N_STATES]
-        for k in range(x.shape[0]):
-            P[i, k] = state.P[i, k]
-    for k in range(N_ACT):
-        act[k] = state.act[k]
-    least = max(1, math.ceil(dt / GRID - 1e-9))
-    # Euler's steps, of points that are faster than the mean
-    steps = least if steps <= least else 2 * steps
-    share = drive_share(plan, config.n_nominal, config.driven)
-    h = dt / steps
-    _process_noise(h, state, config, work)
-    for row in range(plan.shape[0]):
-        for _ in range(steps):
-            follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
-            joint_predict(ahead, h, config, work)
-            follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
-            clip_velocities(x, config.envelope)
-            for k in range(3):
-                bound = plausible_speed(k, state.fastest, config.nominal, share)
-                _limit_deviation(P, 3 + k, config.even * bound)
-        for i in range(N_STATES):
-            for k in range(N_STATES):
-                covs[row, i, k] = P[i, k]
-
-
-@kernel
-def limit_covariances(covs, start_cov, dt, envelope):
-    """Scale down, in place, deviations that no boat can have by then.
-
-    ``covs`` (K, 6, 6) are at the ends of rows dt (s) apart, after ``start_cov``, whose diagonal
-    counts. ``envelope`` (3,) is the largest size of u, v (m/s) and r (rad/s).
-    """
-    for row in range(covs.shape[0]):
-        after, cov = dt * (row + 1), covs[row]
-        for i in range(N_STATES):
-            most = 2.0 * envelope[max(i - 3, 0)]
-            if i < PSI:
-                most = 2.0 * envelope[0] * after + math.sqrt(start_cov[i, i])
-            elif i == PSI:
-                most = 2.0 * min(envelope[2] * after, math.pi) + math.sqrt(start_cov[i, i])
-            _limit_deviation(cov, i, most)
-
-
-@kernel
-def _forecast_mean(plan, dt, memory, values, model, buffers, work):
-    """Do :func:`forecast_mean` on flat memory."""
-    out = forecast_buffers(buffers, plan.shape[0], model.which.shape[1])
-    state, config = filter_state(memory, model), filter_config(values, model)
-    scratch = filter_workspace(work, model.which.shape[1]).rollout
-    forecast_mean(plan, dt, state, config, out, scratch)
-
-
-@kernel
-def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
-    """Do :func:`forecast_covariance` on flat memory; the plan is in the particulars' unit."""
-    out = forecast_buffers(buffers, plan.shape[0], model.which.shape[1])
-    state, config = filter_state(memory, model), filter_config(values, model)
-    scratch = filter_workspace(work, model.which.shape[1])
-    steps = forecast_mean(plan, dt, state, config, out, scratch.rollout)
-    forecast_covariance(dt, steps, state, config, out, scratch)
-
-
-def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
-    """Return a plan at steps near :data:`GRID`, and how many of its rows are one step."""
-    every = max(1, min(round(GRID / dt), len(plan)))
-    K = math.ceil(len(plan) / every)
-    return plan[np.minimum(np.arange(K) * every + every // 2, len(plan) - 1)], every
 
 
 class JointUKF:
@@ -478,8 +298,6 @@ class JointUKF:
         config: FilterConfig = python_views(filter_config)(self.constants, self.terms)
         self.q, self.r = config.q, config.r
         self.scratch = np.zeros(flat_size(filter_workspace, n - N_STATES))
-        self._buffers = np.empty(n - N_STATES)
-        self._out: Forecast = python_views(forecast_buffers)(self._buffers, 0, n - N_STATES)
         self.reset()
 
     @property
@@ -498,28 +316,3 @@ class JointUKF:
     def xi(self) -> Array:
         """Parameters, a view of shape (p,)."""
         return self.x[N_STATES:]
-
-    def _opened(self, K: int) -> tuple[Array, Forecast]:
-        """Return buffers of a forecast of K rows, flat and by name."""
-        if len(self._out.plan) != K:
-            p = len(self.xi)
-            self._buffers = np.empty(flat_size(forecast_buffers, K, p))
-            self._out = python_views(forecast_buffers)(self._buffers, K, p)
-        return self._buffers, self._out
-
-    def mean(self, plan: Array, dt: float) -> Array:
-        """Return states (K, 6) under a plan (K, 4) with rows dt (s) apart; nothing is changed."""
-        buffers, out = self._opened(len(plan))
-        _forecast_mean(plan, dt, self.memory, self.constants, self.terms, buffers, self.scratch)
-        return np.array(out.states[0])
-
-    def covariances(self, plan: Array, dt: float) -> Array:
-        """Return covariances (K, 6, 6) of the states that :meth:`mean` returns."""
-        coarse, every = coarse_plan(plan, dt)
-        buffers, out = self._opened(len(coarse))
-        given = self.memory, self.constants, self.terms
-        _forecast_covariance(coarse, dt * every, *given, buffers, self.scratch)
-        if every == 1:
-            return np.array(out.covs)
-        path = np.concatenate([self.P[None, :N_STATES, :N_STATES], out.covs])
-        return upsample(path, every, len(plan))

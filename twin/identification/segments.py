@@ -257,21 +257,20 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, known, iterations, damping, state, config, work):
+def solve(xi, known, iterations, state, config, work):
     """Move parameters to the least that the weighted quadratics and the prior make.
 
     ``known`` says which segments count and how far, and what they are added to. ``iterations`` is
-    the number of robust reweightings. ``damping`` is that of Levenberg and Marquardt in units of
-    the prior's information. Returned is False where rounding has left no
-    definite matrix; else its factor is ``work.solve.U``.
+    the number of robust reweightings. Returned is False where rounding has left no definite matrix;
+    else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
     total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
-    start, prior, information = scratch.inverse[1], config.prior, known.information
+    prior, information = config.prior, known.information
     first, packed, slope = state.first, state.packed, state.b
     scale, knee, samples = config.scale, config.knee, samples_of(config)
     for k in range(p):
-        d[k] = start[k] = xi[k] - prior[k]
+        d[k] = xi[k] - prior[k]
     square[:] = 0.0
     for _ in range(iterations):
         _square(d, square)
@@ -279,13 +278,6 @@ def solve(xi, known, iterations, damping, state, config, work):
             total[k] = information[k]
         for k in range(p):
             pull[k] = known.pull[k]
-        if damping > 0.0:
-            for k in range(total.shape[0]):
-                total[k] *= 1.0 + damping
-            _unpack(information, U)
-            for i in range(p):
-                for j in range(p):
-                    pull[i] += damping * U[min(i, j), max(i, j)] * start[j]
         for i in range(first.shape[0]):
             if first[i] < 0.0 or first[i] < known.since:
                 continue
@@ -407,10 +399,6 @@ class Segments:
         """Take a new segment from row ``first`` on, in the place of the oldest."""
         add(first, rows, xi, self.state, self.config, self.model, self.work)
 
-    def discard_before(self, before: int) -> None:
-        """Forget segments that begin before a row."""
-        discard_before(before, self.state)
-
     def relinearise(self, rows: Array, budget: int) -> None:
         """Relinearise at the present parameters, those that moved most first."""
         relinearise(budget, rows, self.params, self.state, self.config, self.model, self.work)
@@ -430,11 +418,15 @@ class Segments:
         return float(weight * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
-        """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
-        known = Known(1.0, 0, self.work.solve.none, self.config.information)
+        """Move the parameters to the least of the quadratics and the prior; see :func:`solve`.
+
+        ``damping`` is that of Levenberg and Marquardt in units of the prior's information.
+        """
+        pull = damping * self.information @ (self.params - self.prior)
+        known = Known(1.0, 0, pull, (1.0 + damping) * self.config.information)
         given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
-        if solve(self.params, known, iterations, damping, *given) and damping == 0.0:
+        if solve(self.params, known, iterations, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:

@@ -169,16 +169,12 @@ class HistoryPredictor(Predictor):
         """Return the forecast (K, 6) from the last row of all that is kept, under a plan (K, 4)."""
         return self.forecast(rows, np.array([len(rows) - 1]), plan[None])[0]
 
-    def before_drop(self, rows: Array) -> None:
-        """See the oldest rows before they are dropped; a subclass may keep sums of them."""
-
     def _drop_old(self) -> None:
         """Drop rows that nothing needs any more, many at a time."""
         seconds = self.memory + self.look_back
         keep = math.inf if math.isinf(seconds) else math.ceil(seconds / GRID) + _SPARE
         if len(self._rows) >= 2 * keep:
             old = len(self._rows) - int(keep)
-            self.before_drop(np.array(self._rows[:old]))
             del self._rows[:old]
             del self._unreliable[:old]
             self._dropped += old
@@ -319,41 +315,17 @@ class Persistence(HistoryPredictor):
     average = 0.0
     tuning = "none: it has no settings"
 
-    def reset(self) -> None:
-        """See :meth:`Predictor.reset`."""
-        super().reset()
-        self._sum = np.zeros(3)
-
     @property
     def look_back(self) -> float:
         """See :attr:`HistoryPredictor.look_back`."""
         return self.average
 
-    def before_drop(self, rows: Array) -> None:
-        """Keep the sum of the rows: the means go on with the same bits."""
-        self._sum = self._sums(rows, self._dropped > 0)[-1]
-
-    def _sums(self, rows: Array, later: bool) -> Array:
-        """Return sums of u, v, r before each row and after the last, from the first row ever."""
-        if later:
-            return np.cumsum(np.concatenate([self._sum[None], rows[:, VELOCITIES]]), axis=0)
-        return np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, VELOCITIES], axis=0)])
-
-    def forecast_from_last(self, rows: Array, plan: Array) -> Array:
-        """See :meth:`HistoryPredictor.forecast_from_last`."""
-        sums = self._sums(rows, self._dropped > 0)
-        return self._held(rows, sums, np.array([len(rows) - 1]), len(plan))[0]
-
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
-        return self._held(rows, self._sums(rows, later=False), origins, plans.shape[1])
-
-    def _held(self, rows: Array, sums: Array, origins: Array, steps: int) -> Array:
-        """Return states (B, steps, 6) with the mean velocities before the origins."""
         width = max(round(self.average / GRID), 1)
-        first = np.maximum(origins + 1 - width, 0)
-        velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
-        return hold_velocity(rows[origins, STATES], velocity, GRID * np.arange(1, steps + 1))
+        means = [rows[max(k + 1 - width, 0) : k + 1, VELOCITIES].mean(axis=0) for k in origins]
+        after = GRID * np.arange(1, plans.shape[1] + 1)
+        return hold_velocity(rows[origins, STATES], np.array(means), after)
 
 
 class SmoothedPersistence(Persistence):

@@ -36,7 +36,7 @@ from twin.filters.late_fusion import LOST, LateFusion
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.navigation_state import sample_limits
 from twin.filters.ukf import measurement_update
-from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy
+from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy, adapt_noise
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings
 from twin.identification.joint_ukf import (
     accumulate_information,
@@ -47,7 +47,6 @@ from twin.identification.joint_ukf import (
     filter_workspace,
     information_is_due,
 )
-from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 from twin.model.actuators import follow_all
 from twin.model.dynamics import N_ACT, drive, model_of, rates_over_ground
 from twin.model.structure import N_STATES
@@ -358,7 +357,6 @@ class DSWPredictor(ModelPredictor):
         self._sample_limits = sample_limits(particulars)
         shaft = SHAFT_LIMIT * particulars.shaft_speed
         self._command_limits = np.array([shaft, shaft, ANGLE_LIMIT, ANGLE_LIMIT])
-        self._limits = NoiseLimits.around(settings.q * STUDY_STEP, settings.r)
         self.reset()
 
     def reset(self) -> None:
@@ -506,17 +504,9 @@ class DSWPredictor(ModelPredictor):
             state, control = np.abs(error), np.full(N_STATES, behind.mean())
         else:
             state = control = error**2 - expected
-        Q, R = adapt_noise(
-            self.q * STUDY_STEP,
-            self.r,
-            state,
-            control,
-            self.adapt_gain,
-            self.adapt_gain,
-            limits=self._limits,
-            form=self.adapt,
-        )
+        start, gain = ukf.settings, self.adapt_gain
         if "Q" in self.adapts:
-            self.q[:] = Q / STUDY_STEP
+            q, start_q = self.q * STUDY_STEP, start.q * STUDY_STEP
+            self.q[:] = adapt_noise(q, state, gain, start_q, self.adapt) / STUDY_STEP
         if "R" in self.adapts:
-            self.r[:] = R
+            self.r[:] = adapt_noise(self.r, control, gain, start.r, self.adapt)

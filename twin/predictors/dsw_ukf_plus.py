@@ -15,7 +15,6 @@ Source: docs/explanation/twin.md, The refit; Waves and prediction intervals; Con
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from typing import Any
 
@@ -26,37 +25,40 @@ from twin.filters.linalg import cholesky
 from twin.identification.data_weight import TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability
-from twin.identification.joint_ukf import JointUKF, coarse_plan
+from twin.identification.joint_ukf import JointUKF
 from twin.identification.prediction_error import COLUMNS, FIRST, NONE, RefitSettings
 from twin.identification.segments import Segments
 from twin.identification.wave_residual import FACTOR
+from twin.identification.window import WINDOW
 from twin.model.dynamics import model_of
 from twin.model.priors import boat_or, population_prior
 from twin.model.rollout import GRID, upsample
 from twin.model.structure import N_STATES
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.predictors.base import ParametersInUse, Prediction
-from twin.predictors.plus_forecast import (
+from twin.predictors.forecast import (
     Draws,
-    MeanForecast,
+    Forecast,
+    ForecastConfig,
+    Sources,
+    coarse_plan,
+    draw_ahead,
     draws_of,
+    forecast_of,
     interval_edges,
-    mean_forecast_of,
+    mean_ahead,
     mean_products,
-    plan_draws,
-    plus_draws,
-    plus_mean,
+    opened,
+    steps_of_waves,
 )
 from twin.predictors.plus_update import (
     WAVE_WORK,
-    WINDOW,
     PlusConfig,
     PlusMemory,
     PlusWork,
     update_plus,
 )
 from twin.predictors.ukf import RolloutInputs, UKFPredictor, plain
-from usv_kernel.arrays import flat_size, python_views
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -193,35 +195,17 @@ class PlusPredictor(UKFPredictor):
         )
         self.normal[2][0] = 0.0
         super().__init__(particulars, settings=filters, seed=seed)
-        ukf_memory, ukf_config, ukf_work = self.memory, self.config, self.work
-        segments = self.segments
-        self.memory = PlusMemory(
-            nav=ukf_memory.nav,
-            filter=ukf_memory.filter,
-            rows=self.rows,
-            window=self._window,
-            selector=self.selector.memory,
-            segments=segments.memory,
-            joint=self.joint.memory,
-        )
-        self.config = PlusConfig(
-            nav=ukf_config.nav,
-            filter=ukf_config.filter,
-            model=ukf_config.model,
-            refit=segments.values,
-            joint=self.joint.constants,
-        )
-        self.work = PlusWork(
-            nav=ukf_work.nav,
-            filter=ukf_work.filter,
-            line=segments.line,
-            solve=segments.scratch,
-            change=segments.changes,
-            waves=np.zeros(WAVE_WORK),
-            spread=segments.spread,
-        )
+        segments, (nav, tight) = self.segments, self.memory
+        self.sources = Sources(tight, nav, self.rows, self._window)
+        refits = self.selector.memory, segments.memory, self.joint.memory
+        self.memory = PlusMemory(nav, tight, self.rows, self._window, *refits)
+        nav, tight, model = self.config
+        self.config = PlusConfig(nav, tight, model, segments.values, self.joint.constants)
+        nav, tight = self.work
+        scratch = segments.line, segments.scratch, segments.changes
+        self.work = PlusWork(nav, tight, *scratch, np.zeros(WAVE_WORK), segments.spread)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
-        self._latest: Any = None
+        self.boat = ForecastConfig(self.ukf.constants, self.ukf.terms, segments.values)
 
     def reset(self) -> None:
         """Forget everything."""
@@ -290,33 +274,18 @@ class PlusPredictor(UKFPredictor):
         self.t = t
         update_plus(t, dt, z, cmd, *self._plain)
 
-    def _mean_forecast(self, plan: Array, dt: float) -> MeanForecast:
-        """Return the mean forecast under a plan."""
-        K = len(plan)
-        sizes = len(self.segments.prior), K, _grid_steps(K * dt)
-        if self._latest is None or self._latest[0] != sizes:
-            memory = np.empty(_mean_size(*sizes))
-            self._latest = sizes, python_views(mean_forecast_of)(memory, *sizes)
-        out: MeanForecast = self._latest[1]
-        plus_mean(plan, dt, self.memory, self.config, out)
-        return out
-
-    def mean(self, plan: Array, dt: float) -> Array:
-        """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
-        return np.array(self._mean_forecast(plan, dt).states[0])
-
-    def _draws(self, central: MeanForecast, plan: Array, dt: float) -> tuple[Draws, int]:
+    def _draws(self, central: Forecast, plan: Array, dt: float) -> tuple[Draws, int]:
         """Return draws around a mean forecast, and how many rows of the plan are one of theirs."""
         # they are rolled out in coarse steps: only their spread is used
         coarse, every = coarse_plan(plan, dt)
         K, h, p, D = len(coarse), dt * every, len(self.segments.prior), len(self.normal[0])
-        N = _grid_steps(K * h)
+        N = steps_of_waves(K * h)
         own = central
         if every > 1:
-            own = python_views(mean_forecast_of)(np.empty(_mean_size(p, K, N)), p, K, N)
-            plan_draws(coarse, h, self.memory, self.config, own)
-        out: Draws = python_views(draws_of)(np.empty(_draws_size(p, K, N, D)), p, K, N, D)
-        plus_draws((central, own), dt, self.memory, self.config, self.normal, out)
+            own = opened(forecast_of, p, K, N)
+            mean_ahead(coarse, h, self.sources, self.boat, own)
+        out: Draws = opened(draws_of, p, K, N, D)
+        draw_ahead((central, own), dt, self.sources, self.boat, self.normal, out)
         return out, every
 
     def predict(self, plan: Array, dt: float) -> Prediction:
@@ -341,21 +310,6 @@ class PlusPredictor(UKFPredictor):
             low=mean + low,
             high=mean + high,
         )
-
-
-def _grid_steps(span: float) -> int:
-    """Return how many grid steps cover a time (s)."""
-    return math.ceil(span / GRID - 1e-9)
-
-
-@functools.cache
-def _mean_size(p: int, K: int, N: int) -> int:
-    return flat_size(mean_forecast_of, p, K, N)
-
-
-@functools.cache
-def _draws_size(p: int, K: int, N: int, D: int) -> int:
-    return flat_size(draws_of, p, K, N, D)
 
 
 def _root(cov: Array) -> Array:

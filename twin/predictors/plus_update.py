@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_ekf import is_learning_suspended, lacks_gps
 from twin.filters.navigation_state import NAVIGATION
@@ -22,7 +20,7 @@ from twin.identification.data_weight import (
     select_trust,
     selector_state,
 )
-from twin.identification.interval_scale import RECORD, compare_segment, record_work
+from twin.identification.interval_scale import compare_segment, record_work
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -49,13 +47,12 @@ from twin.identification.segments import (
 )
 from twin.identification.wave_residual import (
     ORDER,
-    SECTOR_SIZE,
-    SECTORS,
     fit_sector_ar,
     fit_waves,
     heading_kernel,
     sector_work_size,
 )
+from twin.identification.window import WINDOW, all_good, last_row, observer_gain
 from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
 from twin.model.structure import N_STATES, ModelTerms, current_of
@@ -76,55 +73,26 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
 __all__ = [
-    "OBSERVER_GAIN",
     "WAVE_WORK",
-    "WINDOW",
     "PlusConfig",
     "PlusMemory",
     "PlusWork",
-    "observer_gain",
     "plus_config_of",
     "plus_step",
-    "plus_work_of",
     "refit_work",
     "update_plus",
 ]
-
-OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
-too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
-
-GAIN_OF_SHIP = 2.0
-"""The same in nominal speeds over length. An observer much faster than its ship follows what the
-model leaves out, and its residual says no more of it."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
 greatest age (s) of the row before it."""
 
-WAVE_SPAN, LATE_SPAN = 80.0, 60.0
-"""Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
-valid ones. Earlier residuals also hold what was not yet learned."""
+WAVE_SPAN = 60.0
+"""Waves are predicted and drawn from the residuals of this many seconds. Earlier ones also hold
+what was not yet learned."""
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
-
-WINDOW = np.dtype(
-    [
-        ("origin", "f8"),  # time of the grid's origin, s
-        ("halves", "f8"),  # half grid steps since then
-        ("last", "f8", N_STATES),  # navigation state of the row before
-        ("last_act", "f8", N_ACT),  # actuators of the row before
-        ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
-        ("next_start", "f8"),  # first row of the next segment
-        ("refit_at", "f8"),  # time of the next refit, s
-        ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
-        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
-        ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
-        *RECORD,
-    ]
-)
-"""What a predictor remembers of its observer, window and waves, besides the rows."""
 
 
 class PlusMemory(NamedTuple):
@@ -170,12 +138,6 @@ def refit_work(work, p, capacity):
         change_work(work.change, p, capacity),
         record_work(work.spread, p),
     )
-
-
-@inlined
-def observer_gain(config):
-    """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
-    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
 
 
 @inlined
@@ -232,21 +194,6 @@ def _record(t, dt, good, nav, window, state, rows):
         last_act[k] = act[k]
 
 
-@inlined
-def last_row(window):
-    """Return the number of the newest complete row of the window; -1 if there is none."""
-    return int(window.halves) // 2 - 1
-
-
-@kernel
-def all_good(first, last, rows):
-    """Return whether the rows from first to last, the last included, may be fitted."""
-    good = True
-    for k in range(first, last + 1):
-        good = good and rows[k % rows.shape[0], GOOD] > 0.0
-    return good
-
-
 @kernel
 def _take_segments(rows, window, selector, segments, nav, config, model, work):
     """Take the segments that are over into the window; return how many starts were tried."""
@@ -298,21 +245,18 @@ def _fit_waves(rows, window, config, work):
     """Fit autoregressions to the last residuals: by sector for the draws, and of the moment."""
     newest, count = last_row(window), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
-    N, late = newest + 1 - first, 0
+    N = newest + 1 - first
     scratch = _waves_work(work, N)
     w, psi, good = scratch.w, scratch.psi, scratch.good
-    for k in range(N - 1, -1, -1):
+    for k in range(N):
         row = rows[(first + k) % rows.shape[0]]
         psi[k], good[k] = row[STATE + PSI], row[GOOD]
         for i in range(3):
             w[k, i] = row[STATE + U + i] - row[LOW + i] if good[k] > 0.0 else 0.0
-        if good[k] > 0.0:
-            count += 1
-            if count <= round(LATE_SPAN / GRID):
-                late = k
+        count += 1 if good[k] > 0.0 else 0
     if count <= 5 * ORDER:
         return
-    fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], scratch.fit)
+    fit_sector_ar(w, psi, good, window.sectors[:], scratch.fit)
     for i in range(3):
         mean, square = 0.0, 0.0
         for k in range(N):
@@ -376,22 +320,14 @@ def _refit(memory, config, work):
 @inlined
 def plus_config_of(config):
     """Return a configuration by name from a plain tuple."""
-    which, limits, hull = config[2]
-    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3], config[4])
-
-
-@inlined
-def plus_work_of(work):
-    """Return a workspace by name from a plain tuple."""
-    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5], work[6])
+    nav, tight, model, refit, joint = config
+    return PlusConfig(nav, tight, ModelTerms(*model), refit, joint)
 
 
 @kernel
 def update_plus(t, dt, z, cmd, memory, config, work):
     """Do :func:`plus_step` with plain tuples, which numba takes from Python much faster."""
-    nav, tight, rows, window, selector, segments, joint = memory
-    own = PlusMemory(nav, tight, rows, window, selector, segments, joint)
-    plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
+    plus_step(t, dt, z, cmd, PlusMemory(*memory), plus_config_of(config), PlusWork(*work))
 
 
 @inlined

@@ -39,6 +39,7 @@ from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
+    DOUBTED,
     STEP_MAX,
     JointUKF,
     accumulate_information,
@@ -48,15 +49,27 @@ from twin.identification.joint_ukf import (
     filter_state,
     filter_workspace,
     information_is_due,
-    limit_covariances,
     scale_plan,
 )
 from twin.identification.physical_bounds import keep_physical
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
+from twin.model.rollout import upsample
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.forecast import (
+    Forecast,
+    ForecastConfig,
+    Sources,
+    coarse_plan,
+    covariance_ahead,
+    forecast_of,
+    limit_covariances,
+    mean_ahead,
+    opened,
+    steps_of_waves,
+)
 from twin.predictors.model_aid import aid_by_model
 from twin.predictors.without_gps import try_open_loop, widen_without_gps
 from usv_kernel.channels import ACCEL_X
@@ -83,9 +96,6 @@ OUTAGE_NOISE_FACTOR = 400.0
 RESTART_AFTER = 4.0
 """Time without GPS, in lengths over nominal speed, after which the first fix re-initialises the
 state. Parameters are kept."""
-
-DOUBTED = 0.1
-"""Standard deviation of velocities under doubted commands, in envelopes."""
 
 DIVERGENCE_GATE = 10.0
 """Deviation from the navigation, in standard deviations, above which the state is re-initialised.
@@ -300,9 +310,8 @@ def tight_step(dt, z, cmd, memory, config, work):
 @kernel
 def _update(dt, z, cmd, memory, config, work):
     """Do :func:`tight_step` with plain tuples, which numba takes from Python much faster."""
-    which, limits, hull = config[2]
-    given = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
-    tight_step(dt, z, cmd, UKFMemory(memory[0], memory[1]), given, UKFWork(work[0], work[1]))
+    given = UKFConfig(config[0], config[1], ModelTerms(*config[2]))
+    tight_step(dt, z, cmd, UKFMemory(*memory), given, UKFWork(*work))
 
 
 @inlined
@@ -338,6 +347,10 @@ class ModelPredictor(Predictor):
     ) -> None:
         super().__init__(particulars, seed=seed)
         self.ukf = JointUKF(particulars, settings)
+        # a subclass that knows the waves, or more of the boat, says so
+        self.sources = Sources(self.ukf.memory, None, None, None)
+        self.boat = ForecastConfig(self.ukf.constants, self.ukf.terms, None)
+        self._latest: Any = None
         self.parameter_names = settings.structure.parameters
         self.parameter_units = settings.structure.units
         self.parameter_blocks = settings.structure.blocks
@@ -412,14 +425,35 @@ class ModelPredictor(Predictor):
             float(ukf.counted[1]),
         )
 
+    def _opened(self, K: int, dt: float) -> Forecast:
+        """Return memory of a forecast of K rows, dt (s) apart."""
+        waves = 0 if self.sources.window is None else steps_of_waves(K * dt)
+        sizes = len(self.ukf.xi), K, waves
+        if self._latest is None or self._latest[0] != sizes:
+            self._latest = sizes, opened(forecast_of, *sizes)
+        found: Forecast = self._latest[1]
+        return found
+
+    def _mean_forecast(self, plan: Array, dt: float) -> Forecast:
+        """Return the mean forecast under a plan; the next of as many rows is written over it."""
+        out = self._opened(len(plan), dt)
+        mean_ahead(plan, dt, self.sources, self.boat, out)
+        return out
+
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
-        return self.ukf.mean(plan, dt)
+        return np.array(self._mean_forecast(plan, dt).states[0])
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
-        mean, cov = self.ukf.mean(plan, dt), self.with_common_error(self.ukf.covariances(plan, dt))
-        start_cov = self.with_common_error(self.ukf.P[:N_STATES, :N_STATES])
+        mean, own = self.mean(plan, dt), self.ukf.P[:N_STATES, :N_STATES]
+        coarse, every = coarse_plan(plan, dt)
+        out = self._opened(len(coarse), dt * every)
+        covariance_ahead(coarse, dt * every, self.sources, self.boat, out, self.ukf.scratch)
+        cov = out.covs
+        if every > 1:
+            cov = upsample(np.concatenate([own[None], cov]), every, len(plan))
+        cov, start_cov = self.with_common_error(cov), self.with_common_error(own)
         limit_covariances(cov, start_cov, dt, self.ukf.envelope)
         after = self.t + dt * np.arange(1, len(plan) + 1)
         return Prediction(self.t, self.state.copy(), start_cov, after, mean, cov)

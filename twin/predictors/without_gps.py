@@ -13,15 +13,9 @@ from twin.filters.navigation_ekf import (
 from twin.model.dynamics import drive, rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import CURRENT, N_STATES, current_of
-from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined
 
 __all__ = ["try_open_loop", "widen_without_gps"]
-
-FROUDE_MOST = 0.2
-"""Froude number of the nominal speed above which a rough model is taken to err no more. The noises
-of its filter grow with that speed, and so does all that they leave unsure. What it leaves out,
-above all currents, does not."""
 
 MODEL_DRIFT, LASTING_SHARE = 0.02, 0.045
 """Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
@@ -96,16 +90,14 @@ def widen_without_gps(dt, nav, state, given, model):
     if not lacks_gps(nav):
         return
     P, speed = state.P, 0.25 * given.envelope[0]
-    lasting, slowed = max(nav.drift_var, (MODEL_DRIFT * speed) ** 2), 1.0
+    lasting = max(nav.drift_var, (MODEL_DRIFT * speed) ** 2)
     if given.rest_push < 1.0:  # rough: no population says what it leaves out
-        length = given.envelope[0] / given.envelope[2]
-        slowed = min(1.0, FROUDE_MOST**2 * GRAVITY * length / (speed * speed))
         most = state.fastest[0] ** 2 + state.fastest[1] ** 2
-        lasting = max(lasting, slowed * LASTING_SHARE * min(P[U, U] + P[V, V], most))
-        _widen_by_turns(nav, math.sqrt(slowed) * speed)
+        lasting = max(lasting, LASTING_SHARE * min(P[U, U] + P[V, V], most))
+        _widen_by_turns(nav, speed)
     at = N_STATES + int(model.hull[CURRENT])
     for i in range(2):
-        more = slowed * P[at + i, at + i] if at >= N_STATES else 0.0
+        more = P[at + i, at + i] if at >= N_STATES else 0.0
         nav.P[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
 
 

@@ -19,10 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.identification.joint_ukf import (
-    JointUKF,
-    forecast_buffers,
-)
+from twin.identification.joint_ukf import JointUKF
 from twin.integrity.state import INTEGRITY, SENSORS, integrity_settings
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
@@ -32,10 +29,7 @@ from twin.motion.forecast_state import QUIET_SPANS
 from twin.particulars import Particulars
 from twin.predictors.base import Forecaster, Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor
-from twin.predictors.plus_forecast import (
-    draws_of,
-    mean_forecast_of,
-)
+from twin.predictors.forecast import draws_of, forecast_of
 from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.predictors.ukf import (
     RolloutInputs,
@@ -68,7 +62,6 @@ from twin.sim.twin_observation import (
     TWIN_OBSERVATION,
     WAVE_STEPS,
     Boats,
-    PlusForecast,
     describe_flat,
     describe_motion_flat,
     keep_forecast_flat,
@@ -470,7 +463,7 @@ class CompiledTwins(TwinObserver):
 
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""
-        return np.zeros(flat_size(forecast_buffers, ROWS, len(self._predictor.ukf.xi)))
+        return np.zeros(flat_size(forecast_of, len(self._predictor.ukf.xi), ROWS, 0))
 
     def _state(self, i: int) -> Array:
         return self.memory.filter[i, :N_STATES].copy()
@@ -591,9 +584,8 @@ class CompiledPlusTwins(CompiledTwins):
         assert isinstance(predictor, PlusPredictor)
         normal = predictor.normal
         D, p = normal[0].shape
-        return PlusForecast(
-            np.zeros((ROWS, N_ACT)),
-            np.zeros(flat_size(mean_forecast_of, p, ROWS, WAVE_STEPS)),
+        return (
+            np.zeros(flat_size(forecast_of, p, ROWS, WAVE_STEPS)),
             np.zeros(flat_size(draws_of, p, ROWS, WAVE_STEPS, D)),
             normal,
         )

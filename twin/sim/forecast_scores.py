@@ -15,24 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import PSI, U, X, Y
-from twin.identification.joint_ukf import (
-    PRIOR_SHRINKAGE,
-    drive_share,
-    is_plausible,
-    scale_plan,
-)
+from twin.identification.joint_ukf import scale_plan
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import (
-    HORIZON_ROWS,
-    HORIZONS,
-    LONG_STEP,
-    Paths,
-    RolloutStart,
-    Waves,
-    rollout,
-)
+from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
 from twin.motion.deck_motion import Z90
+from twin.predictors.forecast import Beginning, forecast_mean
 from usv_gym.envs.episodes import EPISODES
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import (
@@ -45,7 +33,7 @@ from usv_gym.world.channels import (
 )
 from usv_gym.world.faults import LOSS
 from usv_gym.world.state import BOAT, fault_arrays
-from usv_kernel.arrays import take
+from usv_kernel.arrays import shaped, take
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record, as_records, field_at, record_size
@@ -128,10 +116,10 @@ ORIGIN = np.dtype(
         ("spread", "f8", (len(HORIZONS), 3)),  # xx, xy, yy of the displacement's covariance
         ("deviation", "f8", (len(HORIZONS), 2)),  # standard deviations of psi and u
         ("truth", "f8", (len(HORIZONS), 4)),  # x, y, psi, u as they came
-        ("fastest", "f8", 3),  # largest velocities met so far, m/s and rad/s
     ]
 )
-"""A forecast that waits for its time; its model follows, see :class:`KeptModel`."""
+"""A forecast that waits for its time; what it begins with follows, see
+:class:`twin.predictors.forecast.Beginning`."""
 
 GRADES = np.dtype(
     [
@@ -157,17 +145,6 @@ _GRADES_SIZE = record_size(GRADES)
 _LAST = len(HORIZONS) - 1
 
 
-class KeptModel(NamedTuple):
-    """What a forecast is made from, to make it again with other commands."""
-
-    start: Any  # (1, 6), see twin.model.rollout.RolloutStart
-    act: Any  # (4,)
-    wind: Any  # (2,)
-    params: Any  # (p,) fitted parameters
-    means: Any  # (1, rows, 3) velocities of the waves: means over the rows of the plan, m/s ...
-    ends: Any  # (1, rows, 3) ... and at their ends
-
-
 class Buffers(NamedTuple):
     """What a forecast of K rows is written to."""
 
@@ -181,12 +158,12 @@ class Buffers(NamedTuple):
 
 @inlined
 def _model_size(p, rows):
-    return N_STATES + N_ACT + 2 + p + 6 * rows
+    return N_STATES + N_ACT + 5 + p + 6 * rows
 
 
 def grades_size(p: int, rows: int) -> int:
     """Return the numbers that a boat's forecasts take, of p parameters and rows of waves."""
-    return _GRADES_SIZE + KEPT * (_ORIGIN_SIZE + N_STATES + N_ACT + 2 + p + 6 * rows)
+    return _GRADES_SIZE + KEPT * (_ORIGIN_SIZE + N_STATES + N_ACT + 5 + p + 6 * rows)
 
 
 @inlined
@@ -198,14 +175,15 @@ def _place_of(number, at, p, rows):
 
 @inlined
 def _model_of(note, place, p, rows):
-    """Return the model of the forecast that begins at a place."""
+    """Return what the forecast at a place begins with."""
     start, at = take(note, place + _ORIGIN_SIZE, (1, N_STATES))
     act, at = take(note, at, (N_ACT,))
     wind, at = take(note, at, (2,))
     params, at = take(note, at, (p,))
+    fastest, at = take(note, at, (3,))
     means, at = take(note, at, (1, rows, 3))
     ends, at = take(note, at, (1, rows, 3))
-    return KeptModel(start, act, wind, params, means, ends)
+    return Beginning(start, means, ends, params, act, wind, fastest)
 
 
 @kernel
@@ -320,61 +298,30 @@ def keep_forecast(start, boat, noted, happens, period, note, at, sizes):
 
 
 @inlined
-def keep_with_model(i, boats, noted, period, start, state, nav, at):
-    """Keep the forecast of boat i, if it is time, and the joint filter's model behind it.
-
-    ``start`` is the state (6,) that it begins with, and velocities (1, rows, 3) of waves: means and
-    ends. ``state`` and ``nav`` are the filters' records.
-    """
+def keep_with_model(i, boats, noted, period, begin, nav, at):
+    """Keep the forecast of boat i, if it is time, and what it begins with, ``begin``."""
     note, boat = boats.notes[i], as_record(boats.rows[i], BOAT)
     if not is_due(boat, note, at):
         return
     simulation = as_record(boats.shared, EPISODES).simulation
     happens = is_in_loss(boat.t, boats.rows[i], simulation), nav.commands_doubted > 0.0
-    first, means, ends = start
-    sizes = state.x.shape[0] - N_STATES, means.shape[1]
-    place = keep_forecast(first, boat, noted, happens, period, note, at, sizes)
-    origin, model = as_records(note, place, 1, ORIGIN)[0], _model_of(note, place, *sizes)
+    sizes = begin.params.shape[0], begin.means.shape[1]
+    place = keep_forecast(begin.start[0], boat, noted, happens, period, note, at, sizes)
+    kept = _model_of(note, place, *sizes)
     for k in range(N_STATES):
-        model.start[0, k] = first[k]
+        kept.start[0, k] = begin.start[0, k]
     for k in range(N_ACT):
-        model.act[k] = state.act[k]
+        kept.act[k] = begin.act[k]
     for k in range(2):
-        model.wind[k] = state.wind[k]
+        kept.wind[k] = begin.wind[k]
     for k in range(3):
-        origin.fastest[k] = state.fastest[k]
+        kept.fastest[k] = begin.fastest[k]
     for k in range(sizes[0]):
-        model.params[k] = state.x[N_STATES + k]
+        kept.params[k] = begin.params[k]
     for row in range(sizes[1]):
         for k in range(3):
-            model.means[0, row, k], model.ends[0, row, k] = means[0, row, k], ends[0, row, k]
-
-
-@inlined
-def _forecast_again(origin, model, given, gain, out):
-    """Write the states of a kept forecast under the commands that came.
-
-    This is :func:`twin.identification.joint_ukf.forecast_mean` from what was kept, or with waves
-    :func:`twin.predictors.plus_forecast.plus_mean`.
-    """
-    scale_plan(out.commands, given.n_unit, out.plan)
-    if origin.doubted > 0.0:
-        # what the drives got is not known, but what they will get is
-        for k in range(N_ACT):
-            model.act[k] = out.plan[0, k]
-    start = RolloutStart(model.start, out.params, model.act, model.wind)
-    waves, paths = Waves(model.means, gain), Paths(out.states, out.act)
-    share = drive_share(out.plan, given.n_nominal, given.driven)
-    for part in PRIOR_SHRINKAGE:
-        for k in range(out.params.shape[1]):
-            prior = given.prior[k]
-            out.params[0, k] = prior + part * (model.params[k] - prior)
-        rollout(start, out.plan, LONG_STEP, given, waves, paths, out.work)
-        if is_plausible(out.states[0], origin.fastest, given.nominal, share):
-            break
-    for row in range(model.ends.shape[1]):
-        for k in range(3):
-            out.states[0, row, 3 + k] += model.ends[0, row, k]
+            kept.means[0, row, k] = begin.means[0, row, k]
+            kept.ends[0, row, k] = begin.ends[0, row, k]
 
 
 @inlined
@@ -412,20 +359,22 @@ def _grade(origin, states, rows, grades):
 
 
 @inlined
-def grade_by_model(dt, boat, note, at, given, waves, out):
+def grade_by_model(dt, boat, note, at, given, rows, out):
     """Take a row, and grade the forecasts whose time has come, made again by the model.
 
-    ``given`` is the joint filter's configuration; ``waves`` are their rows and gain.
+    ``given`` is the joint filter's configuration; ``rows`` are those of the waves.
     """
-    rows, gain = waves
     grades, p = as_records(note, at, 1, GRADES)[0], out.params.shape[1]
     if not follow_forecasts(dt, boat, note, at, p, rows):
         return
     while grades.graded < grades.reached[_LAST]:
         place = _place_of(grades.graded, at, p, rows)
-        origin, model = as_records(note, place, 1, ORIGIN)[0], _model_of(note, place, p, rows)
+        origin, begin = as_records(note, place, 1, ORIGIN)[0], _model_of(note, place, p, rows)
         _write_plan(origin, grades, out.commands)
-        _forecast_again(origin, model, given, gain, out)
+        if origin.doubted > 0.0:
+            # what the drives got is not known, but what they will get is
+            scale_plan(out.commands[:1], given.n_unit, shaped(begin.act, 0, (1, N_ACT)))
+        forecast_mean(out.commands, LONG_STEP, begin, given, out)
         _grade(origin, out.states[0], HORIZON_ROWS, grades)
 
 

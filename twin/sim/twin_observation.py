@@ -13,10 +13,6 @@ from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
     filter_workspace,
-    forecast_buffers,
-    forecast_covariance,
-    forecast_mean,
-    limit_covariances,
 )
 from twin.integrity.checks import check_sensors, write_restart
 from twin.integrity.state import INTEGRITY, INTEGRITY_SETTINGS, SENSORS
@@ -36,15 +32,19 @@ from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
 from twin.motion.forecast_state import N_CHANNELS, PITCH, QUIET_SPANS
 from twin.motion.sea_estimate import DOUBTFUL, sea_of
 from twin.motion.state import ANGLE
-from twin.predictors.plus_forecast import (
-    FORECAST_WAVE_GAIN,
+from twin.predictors.forecast import (
+    ForecastConfig,
+    Sources,
+    beginning,
+    draw_ahead,
     draws_of,
-    mean_forecast_of,
+    forecast_of,
+    limit_covariances,
+    mean_ahead,
     mean_products,
-    plus_draws,
-    plus_mean,
+    sigma_covariances,
 )
-from twin.predictors.plus_update import PlusMemory, plus_config_of, plus_step, plus_work_of
+from twin.predictors.plus_update import PlusMemory, PlusWork, plus_config_of, plus_step
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from twin.sim.forecast_scores import (
     Buffers,
@@ -88,7 +88,6 @@ __all__ = [
     "TWIN_OBSERVATION",
     "WAVE_STEPS",
     "Boats",
-    "PlusForecast",
     "describe_flat",
     "describe_motion_flat",
     "keep_forecast_flat",
@@ -201,15 +200,6 @@ class Boats(NamedTuple):
     motions: Any  # (n, size of MOTION)
     motion_settings: Any  # see MOTION_SETTINGS
     motion_work: Any  # see MOTION_WORK
-
-
-class PlusForecast(NamedTuple):
-    """Buffers of a forecast of DSW-UKF+."""
-
-    plan: Any  # (20, 4) the command, held
-    mean: Any  # see MeanForecast
-    draws: Any  # see Draws
-    normal: Any  # standard normal numbers of the draws
 
 
 _NOW_SD = SHAFTS
@@ -461,6 +451,92 @@ def _split(memory, size):
     return shaped(memory, 0, (size,)), shaped(memory, size, (memory.shape[0] - size,))
 
 
+_DRAWN_ROWS = HORIZON_ROWS + 1
+
+
+@inlined
+def _sigma_ahead(steps, note, gps_var, nav, sources, config, out, scratch):
+    """Note the covariances of a forecast by sigma points; nothing without ``scratch``."""
+    if scratch is None:
+        return
+    model = config.model
+    state, given = filter_state(sources.filter, model), filter_config(config.filter, model)
+    sigma_covariances(LONG_STEP, steps, state, given, out, scratch)
+    for row in range(ROWS):
+        for j in range(N_STATES):
+            for k in range(N_STATES):
+                out.covs[row, j, k] += nav.P[j, k]
+        for j in range(2):
+            out.covs[row, j, j] += gps_var
+    limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
+    place = note.now[X, X], state.P[X, Y] + nav.P[X, Y], note.now[Y, Y]
+    for h in range(HORIZON_ROWS.shape[0]):
+        cov = out.covs[HORIZON_ROWS[h]]
+        _write_spread(cov, place, note.spread[h])
+        for j in range(N_STATES):
+            for k in range(N_STATES):
+                note.covs[h, j, k] = cov[j, k]
+
+
+@inlined
+def _draws_ahead(note, gps_var, nav, sources, config, out, draws, normal):
+    """Note the covariances of a forecast by draws; nothing without any."""
+    if draws is None:
+        return
+    draw_ahead((out, out), LONG_STEP, sources, config, normal, draws)
+    covs = note.covs[:]
+    mean_products(draws.deviations, _DRAWN_ROWS, covs)
+    for h in range(HORIZON_ROWS.shape[0]):
+        _write_spread(covs[h], (0.0, 0.0, 0.0), note.spread[h])
+        for j in range(2):
+            for k in range(2):
+                covs[h, j, k] += nav.P[j, k]
+            covs[h, j, j] += gps_var
+
+
+@inlined
+def _check(dt, i, boat, note, nav, boats, settings):
+    """Do what comes before a twin takes a row."""
+    _take_motion(dt, i, boat, note, nav, boats, boats.motions)
+    _check_row(dt, boat, note, nav, settings.health)
+
+
+@inlined
+def _look(i, boat, note, boats, sources, config, nav, forecast, obs):
+    """Forecast, and write the twin's part of a boat's observation, where that is due.
+
+    ``forecast`` is its memory; scratch of sigma points, or draws and their normal numbers.
+    """
+    settings, shared = as_record(boats.settings, SETTINGS), as_record(boats.shared, EPISODES)
+    if not _is_due(note, settings.look):
+        return
+    out, scratch, draws, normal = forecast
+    state, first = filter_state(sources.filter, config.model), int(shared.entries)
+    _write_variances(state.P, nav.P, settings.gps_var, note.now)
+    if settings.forecasting > 0.0:
+        _hold(note.trusted[:], out.held)
+        steps = mean_ahead(out.held, LONG_STEP, sources, config, out)
+        for h in range(HORIZON_ROWS.shape[0]):
+            for j in range(N_STATES):
+                note.ahead[h, j] = out.states[0, HORIZON_ROWS[h], j]
+        if note.last >= note.covs_due:
+            note.covs_due = note.last + settings.period - 1e-9
+            gps_var = settings.gps_var
+            _sigma_ahead(steps, note, gps_var, nav, sources, config, out, scratch)
+            _draws_ahead(note, gps_var, nav, sources, config, out, draws, normal)
+    describe(state.x, boat, note, boats.points[i], shared.rules, obs[i, first:])
+    if settings.grading > 0.0 and nav.begun > 0.0:
+        begin = beginning(state, out)
+        keep_with_model(i, boats, note, settings.period, begin, nav, GRADES_AT)
+    _show_motion(i, state.x, note, boats, boats.motions, first, obs[i])
+
+
+@inlined
+def _buffers_of(out):
+    """Return what a forecast is graded with."""
+    return Buffers(out.held, out.plan, out.params, out.states, out.act, out.work)
+
+
 @kernel
 def observe_ukf(boats, memories, config, work, forecast, obs):
     """Let the twins of boats with a new row take it, and write their parts of the observations.
@@ -468,124 +544,50 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     The arguments are plain tuples, which numba takes from Python much faster than named ones, and
     few arrays, as it checks each in every call.
     """
-    rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
-    boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
-    memories, work = UKFMemory(memories[0], memories[1]), UKFWork(*_split(work, _NAV_WORK))
-    given, which, limits, hull = config
-    of_nav, of_filter = _split(given, _NAV_SETTINGS)
+    boats, work = Boats(*boats), UKFWork(*_split(work, _NAV_WORK))
+    values, which, limits, hull = config
+    of_nav, of_filter = _split(values, _NAV_SETTINGS)
     config = UKFConfig(of_nav, of_filter, ModelTerms(which, limits, hull))
-    settings, model = as_record(boats.settings, SETTINGS), config.model
-    shared = as_record(boats.shared, EPISODES)
-    rules, first = shared.rules, int(shared.entries)
-    given = filter_config(config.filter, model)
-    scratch = filter_workspace(work.filter, model.which.shape[1])
-    out = forecast_buffers(forecast, ROWS, model.which.shape[1])
-    again = Buffers(out.held, out.plan, out.params, out.states, out.act, scratch.rollout)
+    model, settings = config.model, as_record(boats.settings, SETTINGS)
+    given, of_boat = filter_config(of_filter, model), ForecastConfig(of_filter, model, None)
+    out = forecast_of(forecast, which.shape[1], ROWS, 0)
+    scratch, again = filter_workspace(work.filter, which.shape[1]), _buffers_of(out)
     for i in range(boats.rows.shape[0]):
-        boat = as_record(boats.rows[i], BOAT)
-        note = as_record(boats.notes[i], NOTE)
-        memory = UKFMemory(memories.nav[i], memories.filter[i])
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        dt = _next_row(boat, note)
+        boat, note = as_record(boats.rows[i], BOAT), as_record(boats.notes[i], NOTE)
+        memory = UKFMemory(memories[0][i], memories[1][i])
+        nav, dt = as_record(memory.nav, NAVIGATION), _next_row(boat, note)
         if dt >= 0.0:
-            _take_motion(dt, i, boat, note, nav, boats, motions)
-            _check_row(dt, boat, note, nav, settings.health)
+            _check(dt, i, boat, note, nav, boats, settings)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
-                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, (0, 0.0), again)
-        if not _is_due(note, settings.look):
-            continue
-        _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        if settings.forecasting > 0.0:
-            _hold(note.trusted[:], out.held)
-            steps = forecast_mean(out.held, LONG_STEP, state, given, out, scratch.rollout)
-            due = note.last >= note.covs_due
-            if due:
-                note.covs_due = note.last + settings.period - 1e-9
-                forecast_covariance(LONG_STEP, steps, state, given, out, scratch)
-                for row in range(ROWS):
-                    for j in range(N_STATES):
-                        for k in range(N_STATES):
-                            out.covs[row, j, k] += nav.P[j, k]
-                    for j in range(2):
-                        out.covs[row, j, j] += settings.gps_var
-                limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
-            place = note.now[X, X], state.P[X, Y] + nav.P[X, Y], note.now[Y, Y]
-            for h in range(HORIZON_ROWS.shape[0]):
-                row = HORIZON_ROWS[h]
-                if due:
-                    _write_spread(out.covs[row], place, note.spread[h])
-                for j in range(N_STATES):
-                    note.ahead[h, j] = out.states[0, row, j]
-                    if due:
-                        for k in range(N_STATES):
-                            note.covs[h, j, k] = out.covs[row, j, k]
-        describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
-        if settings.grading > 0.0 and nav.begun > 0.0:
-            none = shaped(state.x, 0, (1, 0, 3))
-            start = state.x, none, none
-            keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
-        _show_motion(i, state.x, note, boats, motions, first, obs[i])
-
-
-_DRAWN_ROWS = HORIZON_ROWS + 1
+                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, 0, again)
+        sources = Sources(memory.filter, None, None, None)
+        _look(i, boat, note, boats, sources, of_boat, nav, (out, scratch, None, None), obs)
 
 
 @kernel
 def observe_plus(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
-    rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
-    boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
-    nav, tight, kept, window, selector, segments, joint = memories
-    memories = PlusMemory(nav, tight, kept, window, selector, segments, joint)
-    config, work = plus_config_of(config), plus_work_of(work)
-    forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
-    settings, model = as_record(boats.settings, SETTINGS), config.model
-    shared = as_record(boats.shared, EPISODES)
-    rules, first = shared.rules, int(shared.entries)
-    p, D = model.which.shape[1], forecast.normal[0].shape[0]
-    mean = mean_forecast_of(forecast.mean, p, ROWS, WAVE_STEPS)
+    boats, config, work = Boats(*boats), plus_config_of(config), PlusWork(*work)
+    model, settings = config.model, as_record(boats.settings, SETTINGS)
     given = filter_config(config.filter, model)
-    again = Buffers(forecast.plan, mean.plan, mean.params, mean.states, mean.act, mean.work)
-    waves = ROWS, FORECAST_WAVE_GAIN
-    draws = draws_of(forecast.draws, p, ROWS, WAVE_STEPS, D)
+    of_boat = ForecastConfig(config.filter, model, config.refit)
+    of_mean, of_draws, normal = forecast
+    D, p = normal[0].shape
+    out = forecast_of(of_mean, p, ROWS, WAVE_STEPS)
+    ahead = out, None, draws_of(of_draws, p, ROWS, WAVE_STEPS, D), normal
+    again = _buffers_of(out)
     for i in range(boats.rows.shape[0]):
-        boat = as_record(boats.rows[i], BOAT)
-        note = as_record(boats.notes[i], NOTE)
+        boat, note = as_record(boats.rows[i], BOAT), as_record(boats.notes[i], NOTE)
+        navs, tight, rows, window, selector, segments, joint = memories
         memory = PlusMemory(
-            memories.nav[i], memories.filter[i], memories.rows[i], memories.window[i],
-            memories.selector[i], memories.segments[i], memories.joint[i],
-        )  # fmt: skip
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        dt = _next_row(boat, note)
+            navs[i], tight[i], rows[i], window[i], selector[i], segments[i], joint[i]
+        )
+        nav, dt = as_record(memory.nav, NAVIGATION), _next_row(boat, note)
         if dt >= 0.0:
-            _take_motion(dt, i, boat, note, nav, boats, motions)
-            _check_row(dt, boat, note, nav, settings.health)
+            _check(dt, i, boat, note, nav, boats, settings)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
             if settings.grading > 0.0:
-                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, waves, again)
-        if not _is_due(note, settings.look):
-            continue
-        _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        if settings.forecasting > 0.0:
-            _hold(note.trusted[:], forecast.plan)
-            plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
-            for h in range(HORIZON_ROWS.shape[0]):
-                for j in range(N_STATES):
-                    note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
-            if note.last >= note.covs_due:
-                note.covs_due = note.last + settings.period - 1e-9
-                plus_draws((mean, mean), LONG_STEP, memory, config, forecast.normal, draws)
-                covs = note.covs[:]
-                mean_products(draws.deviations, _DRAWN_ROWS, covs)
-                for h in range(HORIZON_ROWS.shape[0]):
-                    _write_spread(covs[h], (0.0, 0.0, 0.0), note.spread[h])
-                    for j in range(2):
-                        for k in range(2):
-                            covs[h, j, k] += nav.P[j, k]
-                        covs[h, j, j] += settings.gps_var
-        describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
-        if settings.grading > 0.0 and nav.begun > 0.0:
-            start = mean.start[0], mean.means, mean.ends
-            keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
-        _show_motion(i, state.x, note, boats, motions, first, obs[i])
+                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, ROWS, again)
+        sources = Sources(memory.filter, memory.nav, memory.rows, memory.window)
+        _look(i, boat, note, boats, sources, of_boat, nav, ahead, obs)

@@ -9,6 +9,9 @@ from twin.identification.data_weight import (
     TRUSTS,
     TrustSelector,
     forecast_error,
+    note,
+    score,
+    select_trust,
 )
 from twin.identification.prediction_error import (
     ACT,
@@ -92,10 +95,11 @@ def test_a_forecast_that_leaves_all_bounds_is_the_worst(structure):
     assert error_of(structure, rows, wild) == np.inf
     selector = TrustSelector(segments(structure, structure.mean))
     selector.params[1] = wild
-    selector.note([0])
-    selector.score(0, rows)
+    own = selector.segments
+    note(0, SPACING, selector.state)
+    score(0, rows, selector.state, own.config, own.model, own.work)
     assert np.isfinite(selector.errors).all()
-    assert np.argmax(selector.errors[0]) == np.argmax(selector.errors[1]) == 1
+    assert np.argmax(selector.errors) == 1
 
 
 def segments(structure, mean, sure=1.0):
@@ -106,16 +110,18 @@ def segments(structure, mean, sure=1.0):
 def run(structure, selector, rows):
     """As the predictor does it: a refit every second."""
     own, next_start = selector.segments, 0
+    given = own.config, own.model, own.work
     for newest in range(0, len(rows), 4):
         while next_start + own.steps < newest:
             own.add(next_start, rows, own.params)
-            selector.score(next_start, rows)
+            score(next_start, rows, selector.state, *given)
             next_start += SPACING
         if (own.first >= 0).sum() < 3:
             continue
-        selector.note(range(next_start, newest + 1, SPACING))
+        for start in range(next_start, newest + 1, SPACING):
+            note(start, SPACING, selector.state)
         own.relinearise(rows, 8)
-        selector.solve(newest)
+        select_trust(newest, selector.state, own.state, *given)
 
 
 @pytest.mark.slow
@@ -146,4 +152,4 @@ def test_a_good_prior_is_kept_in_noise(structure):
     run(structure, selector, rows)
     assert selector.state.count[SCORED] >= ENOUGH
     assert selector.chosen == 0
-    assert (selector.errors[:, 0] < selector.errors[:, 2]).all()
+    assert selector.errors[0] < selector.errors[2]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin import Particulars, Twin
-from twin.identification.joint_ukf import drive_share, is_plausible
+from twin.predictors.forecast import drive_share, is_plausible
 
 SMALL = Particulars(
     name="small catamaran",

@@ -19,7 +19,7 @@ from twin.identification.prediction_error import (
     RefitSettings,
     linearise,
 )
-from twin.identification.segments import Segments
+from twin.identification.segments import Segments, discard_before
 from twin.model import dynamics
 from twin.model.rollout import GRID
 from twin.model.structure import MODELS, N_TERMS, Structure, structure_of
@@ -366,7 +366,7 @@ def test_a_new_segment_replaces_the_oldest_and_old_ones_go() -> None:
     segments = segments_of(structure, rows, SETTINGS, (0, 8, 16))
     segments.add(24, rows, structure.mean)
     assert sorted(segments.first) == [8, 16, 24]
-    segments.discard_before(16)
+    discard_before(16, segments.state)
     assert sorted(segments.first) == [-1, 16, 24]
     assert (segments.costs(structure.mean) > 0.0).sum() == 2
     segments.solve()

@@ -23,16 +23,15 @@ from twin.identification.prediction_error import (
     WIND,
 )
 from twin.identification.wave_residual import FACTOR, ORDER, SECTORS, simulate_waves
+from twin.identification.window import OBSERVER_GAIN, WINDOW
 from twin.logs.log import Log, recorded_runs
 from twin.model.rollout import GRID, SWAY_INERTIA_RATIO
 from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
-from twin.predictors.plus_forecast import past_waves
+from twin.predictors.forecast import past_waves
 from twin.predictors.plus_update import (
     GAP_GOOD,
-    OBSERVER_GAIN,
-    WINDOW,
     PlusMemory,
     _slow_step,
     plus_step,

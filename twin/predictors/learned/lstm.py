@@ -27,6 +27,7 @@ from twin.predictors.baselines import (
 from twin.predictors.learned.features import (
     LearnedPredictor,
     fill_forward,
+    integrate,
     lstm_cell,
     thrust_features,
 )
@@ -225,20 +226,11 @@ class LSTMPredictor(LearnedPredictor):
         h = c = np.zeros((len(origins), len(net.w_rec)))
         for j in range(self.warm):
             h, c = net.advance(past[:, j], h, c)
-        out = np.empty((len(origins), K, 6))
-        x, y, psi = start[:, 0], start[:, 1], start[:, 2]
-        thrust = thrust_features(plans)
+        path, thrust = [nu], thrust_features(plans)
         for k in range(K):
-            h, c = net.advance(net.scaled(nu, thrust[:, k]), h, c)
-            new = np.clip(nu + net.increment(h), -self.bound, self.bound)
-            u, v, r = (0.5 * (nu + new)).T
-            middle = psi + 0.5 * GRID * r
-            x = x + GRID * (u * np.cos(middle) - v * np.sin(middle))
-            y = y + GRID * (u * np.sin(middle) + v * np.cos(middle))
-            psi = psi + GRID * r
-            nu = new
-            out[:, k, 0], out[:, k, 1], out[:, k, 2], out[:, k, 3:] = x, y, psi, nu
-        return out
+            h, c = net.advance(net.scaled(path[-1], thrust[:, k]), h, c)
+            path.append(np.clip(path[-1] + net.increment(h), -self.bound, self.bound))
+        return integrate(start, np.stack(path, axis=1))
 
     def _train(self, rows: Array) -> _Net | None:
         """Return a net that learned from rows (M, 10), or None where nothing can be learned."""
