@@ -46,9 +46,9 @@ from twin.integrity.rows import (
     SENSORS,
     check_cells,
     check_commands,
-    check_leaps,
     check_silence,
     check_time,
+    without_leaps,
     without_marks,
 )
 from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
@@ -56,7 +56,6 @@ from twin.integrity.state import SENSORS as CHECKED
 from twin.integrity.transforms import Measured, Undone, explain, measured, unseen_faults
 from twin.logs.checks import in_degrees, is_gap
 from twin.logs.errors import LogError
-from twin.logs.jumps import find_jumps
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, runs_of
@@ -206,8 +205,9 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
     base = Instruments() if particulars is None else particulars.instruments
     if len(recording.t) < MANY:
         return LogCheck(_sorted(found), sensor_figures(recording), {}, base, {}, recording)
-    found += check_silence(recording) + check_leaps(recording)
-    kept = _without_gross(recording, found)
+    kept, leaps = without_leaps(recording)
+    found += check_silence(recording) + leaps
+    kept = _without_gross(kept, found)
     figures = sensor_figures(kept)
     fix = kept.z[np.isfinite(kept.z[:, :2]).all(axis=1), :2]
     if why := in_degrees(fix):
@@ -252,10 +252,7 @@ def _without(
 
 
 def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
-    """Return a recording without fixes out of reach, dead and frozen columns."""
-    jumps = find_jumps(recording.t, recording.z[:, :2])
-    if jumps is not None:
-        recording = _without(recording, FIX, jumps.lost)
+    """Return a recording without dead and frozen columns."""
     for finding in found:
         names = SENSORS.get(finding.sensor, (finding.sensor,))
         if finding.code == "frozen":

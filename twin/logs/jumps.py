@@ -10,9 +10,9 @@ import numpy.typing as npt
 from twin.logs.columns import Array
 from twin.logs.signals import ways
 
-__all__ = ["Jumps", "find_jumps"]
+__all__ = ["FAST_MPS", "Jumps", "find_jumps"]
 
-_JUMP, _FAST = 50.0, 30.0
+_JUMP, FAST_MPS = 50.0, 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
 
 _PIECES = 1000
@@ -58,7 +58,7 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
         return None
     t, fix = t[rows], fix[rows]
     length = np.hypot(*np.diff(fix, axis=0).T)
-    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
+    broken = np.flatnonzero(length > _JUMP + FAST_MPS * np.diff(t))
     if not len(broken):
         return None
     way, _, width = ways(t, fix)
@@ -70,7 +70,7 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
-        most = np.maximum(_FAST * (t[then] - t[first]), own * (t[then] - stood[first]))
+        most = np.maximum(FAST_MPS * (t[then] - t[first]), own * (t[then] - stood[first]))
         return np.asarray(way <= _JUMP + most, dtype=np.bool_)
 
     # The longest chain of pieces, each of which can be reached from the one before.
