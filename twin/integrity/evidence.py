@@ -88,7 +88,6 @@ class Signals:
     columns: Mapping[str, Array]
     intervals: Mapping[str, float] = field(default_factory=dict)  # between samples of a column, s
     way_s: float = 2.0  # over which the way of the fixes is several times their noise
-    horizon_s: float = 0.0  # over which commands explain the turning best; 0: not at all
     latency: float = 0.0  # of the GPS, which is taken out, s
 
     def __getitem__(self, name: str) -> Array:
@@ -170,17 +169,15 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
             columns[RAW_HEADING] = np.where(np.isfinite(even[:, 0]), raw, math.nan)
         if names == FIX:
             way_s = ways(at, values)[2]
-    signals = Signals(grid, columns, intervals, way_s, latency=stated.gps_latency)
-    if stated.imu_mounting != (0.0, 0.0, 0.0):
-        signals = _mounted(signals, np.array(rotation(stated.imu_mounting)))
-    explained = {horizon: _explanation(*_turns_by(signals, horizon)) for horizon in HORIZONS_S}
-    best = max(explained, key=lambda horizon: explained[horizon])
-    return dataclasses.replace(signals, horizon_s=best if explained[best] > 0.0 else 0.0)
-
-
-def _mounted(s: Signals, turn: Array) -> Signals:
-    """Return signals of an IMU turned into the axes of the boat; upright where axes are missing."""
-    gyros, forces = s.stacked(*GYROS), s.stacked(*FORCES)
+    s = Signals(grid, columns, intervals, way_s, latency=stated.gps_latency)
+    if stated.imu_mounting == (0.0, 0.0, 0.0):
+        return s
+    # upright where axes are missing
+    turn, gyros, forces = (
+        np.array(rotation(stated.imu_mounting)),
+        s.stacked(*GYROS),
+        s.stacked(*FORCES),
+    )
     if not s.has(*GYROS[:2]):
         gyros[:2] = 0.0
     if not s.has(FORCES[2]):
@@ -413,29 +410,24 @@ def _course(s: Signals) -> Pair:
     return _along(s, _mean(s.level(VELOCITY), width)[width::width], width)
 
 
-def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Array, Array] | None:
-    """Return a change and the commands (n, k), both without what the motion itself explains."""
+def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[float, Pair]:
+    """Return a change without what the motion itself explains, and what commands make of it.
+
+    More of a command makes more of the motion: no effect is below 0. The first number is the
+    log-likelihood by which commands of either sign explain the change.
+    """
     ok = np.isfinite(np.array([change, *own, *commands])).all(axis=0)
     if ok.sum() < ENOUGH:
-        return None
+        return 0.0, (change[:0], change[:0])
     known = np.column_stack([*(column[ok] for column in own), np.ones(int(ok.sum()))])
     both = np.column_stack([change[ok], *(column[ok] for column in commands)])
     left = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
     size = np.linalg.norm(left, axis=0)
-    still = size < STILL * np.linalg.norm(both, axis=0)
-    still[0] = False
-    left[:, still] = 0.0
-    return left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
-
-
-def _explanation(change: Array, own: list[Array], commands: list[Array]) -> float:
-    """Return the log-likelihood by which commands of either sign explain a change."""
-    found = _without(change, own, commands)
-    if found is None:
-        return 0.0
-    y, made = found
-    left = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
-    return 0.5 * len(y) * math.log(max(float(y @ y), 1e-300) / max(float(left @ left), 1e-300))
+    size[size < STILL * np.linalg.norm(both, axis=0)] = math.inf
+    y, made = left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
+    either = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
+    shrunk = max(float(either @ either), 1e-300) / max(float(y @ y), 1e-300)
+    return -0.5 * len(y) * math.log(shrunk), (y, np.asarray(made @ nnls(made, y)[0]))
 
 
 def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Array]]:
@@ -458,22 +450,10 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
 
 
-def _explained(change: Array, own: list[Array], commands: list[Array]) -> Pair:
-    """Return a change without what the motion itself explains, and what commands make of it.
-
-    More of a command makes more of the motion: no effect is below 0.
-    """
-    found = _without(change, own, commands)
-    if found is None:
-        return change[:0], change[:0]
-    return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
-
-
 def _yawed(s: Signals) -> Pair:
-    """Changes of the yaw rate by the compass, and what the commands make of it."""
-    if s.horizon_s == 0.0:
-        return np.zeros(0), np.zeros(0)
-    return _explained(*_turns_by(s, s.horizon_s))
+    """Changes of the yaw rate by the compass, and what the commands make of it at their horizon."""
+    tried = [_explained(*_turns_by(s, horizon)) for horizon in HORIZONS_S]
+    return max(tried, key=lambda each: each[0])[1]
 
 
 def _surged(s: Signals) -> Pair:
@@ -487,7 +467,7 @@ def _surged(s: Signals) -> Pair:
     force = _mean((shafts * np.abs(shafts)).sum(axis=0), width)
     between = force[np.minimum(rows + width // 2, len(s.t) - 1)][:-1]
     now = np.where(np.abs(turned) < ARC_RAD, ahead[:-1], math.nan)
-    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])
+    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])[1]
 
 
 BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.integrity.rows import FIX, HUGE, SENSORS, fix_scatter, speed_of
-from twin.integrity.transforms import Measured
+from twin.integrity.transforms import Trial
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
@@ -99,7 +99,7 @@ def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
 def estimate_instruments(
     recording: Recording,
     figures: tuple[SensorFigures, ...],
-    measured: dict[str, Measured | None],
+    measured: dict[str, Trial | None],
     particulars: Particulars | None = None,
 ) -> tuple[Instruments, dict[str, str]]:
     """Return instruments as a log shows them, and for each key that it shows, how.
@@ -110,7 +110,7 @@ def estimate_instruments(
         The log.
     figures : tuple of SensorFigures
         Of its sensors.
-    measured : dict of str to Measured or None
+    measured : dict of str to Trial or None
         Latency of the GPS and bias of the gyro, as far as the log shows them.
     particulars : Particulars, optional
         For what a log cannot show: slow errors of position and heading, places of the sensors.
@@ -138,9 +138,9 @@ def estimate_instruments(
         found["accel_sd"] = scatter, f"scatter from sample to sample, and {UPRIGHT_MPS2} for tilt"
     bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
     if bias is not None:
-        found["gyro_bias_sd"] = max(abs(bias.value), 5e-4), "mean difference from the compass"
-    if late is not None and late.sd < KNOWN_S < late.value + KNOWN_S:
-        found["gps_latency"] = min(late.value, LATENCY_MAX), "best agreement with accelerometers"
+        found["gyro_bias_sd"] = max(abs(bias.size), 5e-4), "mean difference from the compass"
+    if late is not None and late.sd < KNOWN_S < late.size + KNOWN_S:
+        found["gps_latency"] = min(late.size, LATENCY_MAX), "best agreement with accelerometers"
     base = Instruments() if particulars is None else particulars.instruments
     values: dict[str, Any] = {key: float(f"{pair[0]:.3g}") for key, pair in found.items()}
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}

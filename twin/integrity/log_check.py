@@ -53,7 +53,7 @@ from twin.integrity.rows import (
 )
 from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
 from twin.integrity.state import SENSORS as CHECKED
-from twin.integrity.transforms import Measured, Undone, explain, measured, unseen_faults
+from twin.integrity.transforms import Trial, explain, measured, unseen_faults
 from twin.logs.checks import in_degrees, is_gap
 from twin.logs.errors import LogError
 from twin.logs.log import Log, assemble, read_table
@@ -218,8 +218,8 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
     if any(finding.code == "time-unit" for finding in found):
         kept = dataclasses.replace(kept, t=1e-3 * kept.t)
     found += check_commands(kept, particulars)
-    signals, undone = signals_of(kept, base), list[Undone]()
-    numbers: dict[str, Measured | None] = {}
+    signals, undone = signals_of(kept, base), list[Trial]()
+    numbers: dict[str, Trial | None] = {}
     evidence: Evidence = {}
     if signals is not None:
         faults, signals, undone = explain(signals)
@@ -228,7 +228,7 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
         found += _unknown(signals, evidence, found)
         if signals.has(*FORCES[:2]):
             late = measured(signals, "late", "gps")
-            numbers["gps_latency"] = late and Measured(late.value + signals.latency, late.sd)
+            numbers["gps_latency"] = late and late._replace(size=late.size + signals.latency)
         numbers["gyro_bias_sd"] = measured(signals, "bias", "gyro")
     instruments, reasons = estimate_instruments(kept, figures, numbers, particulars)
     found += _doubted(kept, found, undone, instruments, particulars)
@@ -278,7 +278,7 @@ def _unknown(signals: Signals, evidence: Evidence, found: list[Finding]) -> list
 def _doubted(
     recording: Recording,
     known: list[Finding],
-    undone: list[Undone],
+    undone: list[Trial],
     instruments: Instruments,
     particulars: Particulars | None,
 ) -> list[Finding]:
@@ -320,7 +320,7 @@ def _doubted(
     return found
 
 
-def _mended(recording: Recording, undone: list[Undone]) -> Recording:
+def _mended(recording: Recording, undone: list[Trial]) -> Recording:
     """Return new samples without the faults that were found, as of a boat that stands upright."""
     columns = dict(zip(MEASUREMENTS, recording.z.T.copy(), strict=True))
     columns |= zip(COMMANDS, np.nan_to_num(recording.cmd).T, strict=True)

@@ -85,8 +85,8 @@ STAMPS_S = 0.03
 """Stamps of fixes that jitter by more are worth a word."""
 
 SILENT_S, STALE_S = 2.0, 0.5
-"""A sensor is lost when it gives nothing new for longer, and for more than :data:`GAP_STEPS` of its
-intervals; all of them never repeat themselves at once for longer than the last."""
+"""A sensor is lost when it gives nothing new for longer, and for so many of its intervals; all of
+them never repeat themselves at once for longer than the last."""
 
 OUTLIER, LEAP_M, LEAP_RAD = 15.0, 0.1, math.radians(4.0)
 """A leap is so many times the median deviation, and at least so large."""
@@ -103,7 +103,7 @@ FEW = 0.1
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved, ..."""
 
-FAR, ABSURD_FROM = 100.0, {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
+FAR, ABSURD_FROM = 400.0, {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
 """... if it is larger than this, in the unit of its column."""
 
 LARGE_ANGLE_RAD = 1.3
@@ -295,7 +295,7 @@ def check_silence(recording: Recording) -> list[Finding]:
         for name, values in zip(MEASUREMENTS, recording.z.T, strict=True)
         if np.mean(np.abs(np.diff(values)) > 0.0) > 0.5
     )
-    found = _silent(recording, "rows", moving, STALE_S) if len(moving) > 1 else []
+    found = _silent(recording, "rows", moving, STALE_S, GAP_STEPS) if len(moving) > 1 else []
     for sensor, names in SENSORS.items():
         lost = _silent(recording, sensor, names)
         if not lost and names not in (FIX, VELOCITY):
@@ -305,7 +305,11 @@ def check_silence(recording: Recording) -> list[Finding]:
 
 
 def _silent(
-    recording: Recording, sensor: str, names: tuple[str, ...], least_s: float = SILENT_S
+    recording: Recording,
+    sensor: str,
+    names: tuple[str, ...],
+    least_s: float = SILENT_S,
+    intervals: float = 2.0 * GAP_STEPS,
 ) -> list[Finding]:
     """Return a finding on the longest silence of columns, missing or the same, if it is long.
 
@@ -323,7 +327,7 @@ def _silent(
     # gaps that the clock skipped are reported for the clock
     step = np.where(is_gap(recording.t), 0.0, np.diff(recording.t))
     silence = np.diff(np.interp(edges, recording.t, np.append(0.0, np.cumsum(step))))
-    bound = max(GAP_STEPS * float(np.median(np.diff(edges))), least_s)
+    bound = max(intervals * float(np.median(np.diff(edges))), least_s)
     # share of rows in each silence that hold a value: the same one
     rows = np.searchsorted(recording.t, edges)
     held = np.append(0, np.cumsum(given))[rows]

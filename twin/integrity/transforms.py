@@ -33,7 +33,7 @@ from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, VELOCITY
 from twin.logs.columns import UNITS
 from twin.particulars import GRAVITY
 
-__all__ = ["Hypothesis", "Measured", "Undone", "explain", "measured", "unseen_faults"]
+__all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen_faults"]
 
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
@@ -45,11 +45,12 @@ NUMBER_COST = 5.0
 """Of a number that is fitted."""
 
 MORE_COST = 2.0
-"""Of each further mistake that a fault is made of, and of each sample that one explains alone; a
-rival that explains a log so nearly as well is named beside the best."""
+"""Of each further mistake that a fault is made of; a rival that explains a log so nearly as well is
+named beside the best."""
 
-ONE_SIDE_COST = 25.0
-"""Of a fault of one side: thrusts of both are seldom even."""
+RARE_COST = 25.0
+"""Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
+velocity that keeps its size only."""
 
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
@@ -88,7 +89,7 @@ class Hypothesis:
     scan: Scan | None = None
     error: bool | None = None  # whether a log cannot be used so; None: where it has no number
     cost: float = 0.0  # beyond that of any fault
-    alone: bool = False  # whether it explains each sample by itself
+    guess: bool = False  # whether what undoes it takes from other columns
 
     @property
     def severity(self) -> str:
@@ -218,7 +219,7 @@ def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesi
     """Return a fault of one shaft."""
     remedy = "check this thruster, or its column in the mapping"
     undo, error = _map(SHAFTS, np.diag(factors)), code == "sign"
-    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, ONE_SIDE_COST)
+    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, RARE_COST)
 
 
 QUARTER, ASKEW, SCALES = 0.5 * math.pi, _angles(10.0), _scales(0.09)
@@ -231,15 +232,11 @@ FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there i
 TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "compass", "the heading is in degrees, not radians",
                'unit = "deg" for it in the mapping', COMPASS, _in_radians),
-    _opposite("sign", "compass", "the heading runs counter-clockwise", COMPASS),
-    _opposite("axes", "compass", "the heading runs counter-clockwise from east", COMPASS, QUARTER),
-    _opposite("axes", "compass", "the heading runs counter-clockwise from west", COMPASS, -QUARTER),
-    _opposite("sign", "compass", "heading and yaw rate run counter-clockwise",
-              (*COMPASS, GYROS[2])),
-    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from east",
-              (*COMPASS, GYROS[2]), QUARTER),
-    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from west",
-              (*COMPASS, GYROS[2]), -QUARTER),
+    *(_opposite("axes" if where else "sign", "compass", f"{what} counter-clockwise{where}", names,
+                angle)
+      for what, names in (("the heading runs", COMPASS),
+                          ("heading and yaw rate run", (*COMPASS, GYROS[2])))
+      for where, angle in (("", 0.0), (" from east", QUARTER), (" from west", -QUARTER))),
     Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
@@ -253,7 +250,7 @@ TABLE: tuple[Hypothesis, ...] = (
     *_units("velocity", *VELOCITY),
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
-               _of_way, alone=True),
+               _of_way, cost=RARE_COST, guess=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
               SCALES, error=True),
@@ -321,8 +318,8 @@ def hypotheses(s: Signals) -> list[Hypothesis]:
     return list({each.what: each for each in TABLE if s.has(*each.changed)}.values())
 
 
-class _Trial(NamedTuple):
-    """A hypothesis, and what it explains."""
+class Trial(NamedTuple):
+    """A hypothesis, its number, and what it explains."""
 
     hypothesis: Hypothesis
     size: float
@@ -330,6 +327,13 @@ class _Trial(NamedTuple):
     score: float
     signals: Signals
     evidence: Evidence
+
+    def on_rows(self, s: Signals) -> Signals:
+        """Return rows without the fault, or without columns where it is not known well enough."""
+        each = self.hypothesis
+        if each.guess or each.code in ("late", "bias") or each.sensor == "fixes":
+            return s.having(each.changed, math.nan * s.stacked(*each.changed))
+        return each.undo(s, self.size)
 
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
@@ -353,7 +357,7 @@ def _explains(before: Evidence, after: Evidence) -> bool:
     )
 
 
-def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> _Trial:
+def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> Trial:
     """Return what a hypothesis explains, its number at its best; a harmless one roughly."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
@@ -381,13 +385,10 @@ def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) ->
                 size += width if right > left else -width
             width *= 0.4
     score, changed, after = at(size)
-    if each.alone:  # as many numbers as there are independent samples
-        used = [one for one in after.values() if one and not one.uses.isdisjoint(each.changed)]
-        cost += MORE_COST * min((one.independent for one in used), default=0.0)
-    return _Trial(each, size, sd, score - cost, changed, after)
+    return Trial(each, size, sd, score - cost, changed, after)
 
 
-def _counts(trial: _Trial) -> bool:
+def _counts(trial: Trial) -> bool:
     """Return whether a parameter is far from its nominal value: so is its interval, then."""
     scan = trial.hypothesis.scan
     if scan is None:
@@ -396,24 +397,10 @@ def _counts(trial: _Trial) -> bool:
     return inside and abs(trial.size - scan.nominal) > scan.least
 
 
-class Undone(NamedTuple):
-    """A fault that was found."""
-
-    hypothesis: Hypothesis
-    size: float
-
-    def on_rows(self, s: Signals) -> Signals:
-        """Return the rows of a log without it, or without columns where it is not known well."""
-        each = self.hypothesis
-        if each.alone or each.code in ("late", "bias") or each.sensor == "fixes":
-            return s.having(each.changed, math.nan * s.stacked(*each.changed))
-        return each.undo(s, self.size)
-
-
-def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
+def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
     """Return the faults that explain signals best, signals without them, and what undoes them."""
     base = log_likelihood(s)
-    table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
+    table, found, undone = hypotheses(s), list[Finding](), list[Trial]()
     while True:
         trials = [_try(s, base, each) for each in table if each.scan is None]
         most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
@@ -429,22 +416,19 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
             if t.score > ENOUGH_GAIN and _counts(t) and _explains(base, t.evidence)
         ]
         if not likely:
-            break
+            return found, s, undone
         best = max(likely, key=lambda trial: trial.score)
         near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
         found.append(_finding(best, near, s.latency))
-        undone.append(Undone(best.hypothesis, best.size))
-        s, base = best.signals, best.evidence
-        if best.hypothesis.alone:  # what is not known of them cannot be held against others
-            names = best.hypothesis.changed
-            s = s.having(names, math.nan * s.stacked(*names))
-            base = log_likelihood(s)
+        undone.append(best)
+        # what is guessed cannot be held against others
+        s = best.on_rows(s) if best.hypothesis.guess else best.signals
+        base = log_likelihood(s)
         known = {each.hypothesis.what for each in undone}
         table = [each for each in hypotheses(s) if each.what not in known]
-    return found, s, undone
 
 
-def _finding(trial: _Trial, rivals: list[_Trial], latency: float) -> Finding:
+def _finding(trial: Trial, rivals: list[Trial], latency: float) -> Finding:
     """Return a fault in words; a delay of the GPS with the one that is stated."""
     each, size = trial.hypothesis, trial.size
     if (each.code, each.sensor) == ("late", "gps"):
@@ -459,19 +443,11 @@ def _finding(trial: _Trial, rivals: list[_Trial], latency: float) -> Finding:
     return Finding(each.severity, each.code, what, remedy, each.sensor, size, low, high)
 
 
-class Measured(NamedTuple):
-    """A parameter of a sensor."""
-
-    value: float
-    sd: float
-
-
-def measured(s: Signals, code: str, sensor: str) -> Measured | None:
+def measured(s: Signals, code: str, sensor: str) -> Trial | None:
     """Return the number of a fault, such as the delay of the GPS, whatever its size."""
     for each in hypotheses(s):
         if each.scan is not None and (each.code, each.sensor) == (code, sensor):
-            trial = _try(s, log_likelihood(s), each, harmless=False)
-            return Measured(trial.size, trial.sd)
+            return _try(s, log_likelihood(s), each, harmless=False)
     return None
 
 
