@@ -35,6 +35,7 @@ from usv_kernel.scalar import rotation
 __all__ = [
     "BY_COMMANDS",
     "FLOOR",
+    "GYRO_ZERO_RADPS",
     "RAW_HEADING",
     "Comparison",
     "Evidence",
@@ -442,7 +443,7 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
         acts.append(steering.mean(axis=0) * (total if total.any() else np.ones_like(total)))
     half = max(round(0.5 * horizon / s.step), 1)
     rows = np.arange(2 * half, len(s.t) - 3 * half, 2 * half)
-    if 2 * half * s.step < 3.0 * s.intervals.get("compass_rad", 0.0):
+    if half * s.step < s.intervals.get("compass_rad", 0.0):
         rows = rows[:0]
     # mean rates around the two ends; the commands act in between
     before = heading[rows + half] - heading[rows - half]

@@ -56,6 +56,7 @@ from twin.integrity.state import SENSORS as CHECKED
 from twin.integrity.transforms import Trial, explain, measured, unseen_faults
 from twin.logs.checks import in_degrees, is_gap
 from twin.logs.errors import LogError
+from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, runs_of
@@ -65,9 +66,9 @@ __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
 
 Array = npt.NDArray[np.float64]
 
-SHORT_S, DOUBT_S, DOUBT_SHARE = 1.0, 8.0, 0.1
+SHORT_S, DOUBT_S = 1.0, 8.0
 """A sensor that the checks leave out or doubt for less than the first is not worth a word; for
-less than the second at once, and this share of the log in all, a note."""
+less than the second at once, and few rows in all, a note."""
 
 OF_COMMANDS = {"commands", "left", "right", "shafts", "steering"}
 """Sensors of findings about commands."""
@@ -311,7 +312,7 @@ def _doubted(
         if len(runs) > 1:
             what += f", {total:.0f} s in {len(runs)} stretches"
         code = {IMPOSSIBLE: "mark", FROZEN: "frozen"}.get(why, "contradiction")
-        brief = t[k] - t[i] < DOUBT_S and total < DOUBT_SHARE * (t[-1] - t[0])
+        brief = t[k] - t[i] < DOUBT_S and total < FEW * (t[-1] - t[0])
         # of commands, the whole log tells more than a stretch
         severity = NOTE if brief or sensor == "commands" else WARNING
         remedy = "the twin leaves it out there; mend it or empty these cells"

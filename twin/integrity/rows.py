@@ -22,7 +22,7 @@ from twin.logs.clock import (
     wild_stamps,
 )
 from twin.logs.columns import SHARE, UNITS
-from twin.logs.jumps import FAST_MPS, find_jumps
+from twin.logs.jumps import FAST_MPS, FEW, find_jumps
 from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
 from twin.particulars import Particulars
@@ -35,6 +35,7 @@ __all__ = [
     "HUGE",
     "MANY",
     "SENSORS",
+    "STAMPS_S",
     "VELOCITY",
     "check_cells",
     "check_commands",
@@ -97,16 +98,13 @@ HUGE = 1e100
 SAILS_M = 20.0
 """A boat that goes farther sails."""
 
-FEW = 0.1
-"""At most so many samples are single faults."""
-
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved, ..."""
 
 FAR, ABSURD_FROM = 400.0, {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
 """... if it is larger than this, in the unit of its column."""
 
-LARGE_ANGLE_RAD = 1.3
+LARGE_ANGLE_RAD = 0.5 * math.pi
 """Few rudders and drives turn farther."""
 
 SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
@@ -385,7 +383,7 @@ def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
         left = np.sqrt(((step[2:-2] - width[2:-2, None] * near) ** 2).sum(axis=1))
         left[width[2:-2] > 0.5 * GAP_STEPS * np.median(width)] = 0.0
         wild = np.flatnonzero(left > max(least, OUTLIER * float(np.median(left))))
-        if not 0 < len(wild) <= 3.0 + 0.01 * len(t):  # else the values are coarse
+        if not 0 < MANY * len(wild) <= len(t):  # else the values are coarse
             continue
         most = int(np.argmax(left))
         at, size = float(t[most + 3]), float(left[most])

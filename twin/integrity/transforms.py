@@ -22,6 +22,7 @@ from twin.channels import COMMANDS
 from twin.integrity.evidence import (
     BY_COMMANDS,
     FLOOR,
+    GYRO_ZERO_RADPS,
     RAW_HEADING,
     Evidence,
     Signals,
@@ -52,6 +53,9 @@ RARE_COST = 25.0
 """Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
 velocity that keeps its size only."""
 
+POINTS = 13
+"""Of a parameter, so many values are tried first."""
+
 LIKELY = 0.6
 """What is left must shrink to this share in one comparison."""
 
@@ -67,13 +71,13 @@ class Scan(NamedTuple):
     values: Sequence[float]
 
 
+def _between(low: float, high: float, least: float) -> Scan:
+    return Scan(0.0, least, np.linspace(low, high, POINTS).tolist())
+
+
 def _angles(least_degrees: float) -> Scan:
-    least, most = math.radians(least_degrees), 0.95 * math.pi
-    return Scan(0.0, least, np.linspace(-most, most, 13).tolist())
-
-
-def _scales(least: float) -> Scan:
-    return Scan(1.0, least, np.geomspace(0.1, 10.0, 11).tolist())
+    most = 0.95 * math.pi  # beyond it lies the other sign
+    return _between(-most, most, math.radians(least_degrees))
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +226,9 @@ def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesi
     return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, RARE_COST)
 
 
-QUARTER, ASKEW, SCALES = 0.5 * math.pi, _angles(10.0), _scales(0.09)
-ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
-DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
+QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+SCALES = Scan(1.0, 0.09, np.geomspace(0.1, 10.0, POINTS).tolist())
+ZERO, DELAY = _between(-0.3, 0.3, GYRO_ZERO_RADPS), _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 STATED = "in [instruments] of the particulars"
 FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"

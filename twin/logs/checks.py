@@ -12,10 +12,10 @@ from twin.logs.agreement import gyro_on_compass, heading_on_track
 from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
-from twin.logs.jumps import find_jumps
+from twin.logs.jumps import FEW, find_jumps
 from twin.logs.readers import Table
 from twin.logs.recording import held, motion_of, repeated
-from twin.logs.signals import ENOUGH
+from twin.logs.signals import ENOUGH, runs_of
 from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
@@ -45,9 +45,6 @@ _COHERENT = 0.9
 
 _STOPPED = 1.0
 """Commands that are absent for longer may have stopped, s."""
-
-_LOST = 0.1
-"""Largest share of jumping fixes that may be errors of a receiver."""
 
 
 def checked_time(t: Array, table: Table) -> Array:
@@ -223,7 +220,7 @@ def drop_jumps(t: Array, z: Array, table: Table) -> None:
         f"{t[jumps.after] - t[jumps.before]:.3g} s"
     )
     given = _called(table, slice(0, 2))
-    if lost > _LOST * jumps.fixes:
+    if lost > FEW * jumps.fixes:
         raise LogError(
             f"{table.source}: column(s) {given}, "
             f"{where} and stays away. Read the pieces one by one with start_s and stop_s in [rows] "
@@ -264,24 +261,16 @@ def _called(table: Table, part: slice) -> str:
 
 def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:
     """Return the length and the start of the longest run of rows without a sample."""
-    length, start = longest_gap(t, valid)
-    return f"longest gap {length:.1f} s at t = {start:.1f} s"
+    # a run lasts until the next sample; at the end of the log, for one step beyond it
+    until = np.append(t, t[-1] + np.median(np.diff(t)))
+    runs = [(float(until[end] - t[first]), float(t[first])) for first, end in runs_of(~valid)]
+    return "longest gap {:.1f} s at t = {:.1f} s".format(*max(runs, key=lambda run: run[0]))
 
 
 def is_gap(t: Array) -> npt.NDArray[np.bool_]:
     """Return which steps of time are gaps, shape (N - 1,)."""
     step = np.diff(t)
     return np.asarray(step > GAP_STEPS * np.median(step))
-
-
-def longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Return length and start of the longest run of rows without a sample, s."""
-    edge = np.diff(np.concatenate(([1], valid.astype(np.int8), [1])))
-    first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
-    # A run lasts until the next sample; at the end of the log, for one step beyond it.
-    until = np.append(t, t[-1] + np.median(np.diff(t)))[after]
-    longest = int(np.argmax(until - t[first]))
-    return float(until[longest] - t[first[longest]]), float(t[first[longest]])
 
 
 def in_degrees(fix: Array) -> str:
@@ -291,8 +280,7 @@ def in_degrees(fix: Array) -> str:
     if len(fix) < ENOUGH:
         return ""
     middle, spread = np.abs(np.median(fix, axis=0)), np.ptp(fix, axis=0)
-    small = spread.max() < 0.2 and spread.max() > 0.0
-    if small and middle.max() > 100.0 * spread.max() and middle[0] <= 180.0 and middle[1] <= 180.0:
+    if 0.0 < spread.max() < 0.2 and 100.0 * spread.max() < middle.max() <= 180.0:
         return (
             f"all lie within {spread.max():.2g} of ({np.median(fix[:, 0]):.5g}, "
             f"{np.median(fix[:, 1]):.5g}), as degrees of latitude and longitude do"

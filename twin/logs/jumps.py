@@ -10,15 +10,18 @@ import numpy.typing as npt
 from twin.logs.columns import Array
 from twin.logs.signals import ways
 
-__all__ = ["FAST_MPS", "Jumps", "find_jumps"]
+__all__ = ["FAST_MPS", "FEW", "TYPICAL", "Jumps", "find_jumps"]
 
 _JUMP, FAST_MPS = 50.0, 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
 
+FEW = 0.1
+"""At most this share of the samples are single faults."""
+
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
 
-_TYPICAL = 0.75
+TYPICAL = 0.75
 """The speed of a boat is this quantile: it may also rest at times."""
 
 _STILL_M, _STILL_SHARE = 0.1, 0.02
@@ -63,7 +66,7 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
         return None
     way, _, width = ways(t, fix)
     speeds = np.hypot(*way.T)[np.isfinite(way).all(axis=1)] / width
-    own = float(np.quantile(speeds, _TYPICAL)) if len(speeds) else 0.0
+    own = float(np.quantile(speeds, TYPICAL)) if len(speeds) else 0.0
     stood = t.copy()
     for k in broken[:_PIECES]:
         stood[k] = t[_stood_from(fix[: k + 1], float(length[k]))]
