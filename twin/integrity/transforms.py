@@ -42,12 +42,9 @@ Undo = Callable[[Signals, float], Signals]
 ENOUGH_GAIN = 15.0
 """Log-likelihood, beyond what a fault costs, from which on it is one."""
 
-NUMBER_COST = 5.0
-"""Of a number that is fitted."""
-
-MORE_COST = 2.0
-"""Of each further mistake that a fault is made of; a rival that explains a log so nearly as well is
-named beside the best."""
+COST = 5.0
+"""Of each number that is fitted, and each further mistake that a fault is made of; a rival that
+explains a log so nearly as well is named beside the best."""
 
 RARE_COST = 25.0
 """Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
@@ -56,7 +53,7 @@ velocity that keeps its size only."""
 POINTS = 13
 """Of a parameter, so many values are tried first."""
 
-LIKELY = 0.6
+LIKELY = 0.5
 """What is left must shrink to this share in one comparison."""
 
 COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
@@ -167,16 +164,14 @@ def _of_way(s: Signals, _: float) -> Signals:
 def _units(sensor: str, *names: str) -> Iterator[Hypothesis]:
     """Return columns in another unit: of a mapping file, or hundreds or thousands."""
     own, given = names[0].rpartition("_")[2], ", ".join(names)
-    factors = {f"1e-{power} {own}": (10.0**-power, f"scale = 1e-{power}") for power in (2, 3)}
-    for unit, factor in UNITS[own].items():
-        factors[unit] = (factor, f'unit = "{unit}"')
-        if names == VELOCITY:
-            factors[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out")
-    for unit, (factor, remedy) in factors.items():
-        if factor != 1.0:
-            what, undo = f"{given}: in {unit}", _map(names, factor * np.eye(len(names)))
-            remedy, cost = f"{remedy} in the mapping", MORE_COST * (len(names) > 2)
-            yield Hypothesis("unit", sensor, what, remedy, names, undo, cost=cost)
+    for unit, factor in (UNITS[own] | {f"1e-2 {own}": 1e-2, f"1e-3 {own}": 1e-3}).items():
+        remedy = f'unit = "{unit}"' if unit in UNITS[own] else f"scale = {factor}"
+        ways = {f"in {unit}": (factor, f"{remedy} in the mapping")}
+        if names == VELOCITY and unit in UNITS[own]:
+            ways[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out of the mapping")
+        for what, (scale, how) in ways.items() if factor != 1.0 else ():
+            undo = _map(names, scale * np.eye(len(names)))
+            yield Hypothesis("unit", sensor, f"{given}: {what}", how, names, undo)
 
 
 def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
@@ -205,7 +200,7 @@ def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
         mistakes = len(vectors) + bool(swapped) + max(len(wrong), 1) - 2
         yield Hypothesis(
             "axes" if swapped else "sign", sensor, said, remedy, names, _map(names, matrix),
-            cost=MORE_COST * mistakes,
+            cost=COST * mistakes,
         )  # fmt: skip
 
 
@@ -215,15 +210,8 @@ def _opposite(
     """Return columns that all have the wrong sign; the first counts from an angle."""
     plus = [angle, *[0.0] * (len(names) - 1)]
     remedy = 'scale = -1.0 there in the mapping, or frame = "enu" for all that runs from east'
-    undo, cost = _map(names, -np.eye(len(names)), plus), MORE_COST * (len(names) - 1)
+    undo, cost = _map(names, -np.eye(len(names)), plus), COST * (len(names) - 1)
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
-
-
-def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesis:
-    """Return a fault of one shaft."""
-    remedy = "check this thruster, or its column in the mapping"
-    undo, error = _map(SHAFTS, np.diag(factors)), code == "sign"
-    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, RARE_COST)
 
 
 QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
@@ -245,13 +233,21 @@ TABLE: tuple[Hypothesis, ...] = (
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
               f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
-    Hypothesis("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
-              _late(*COMPASS), DELAY),
-    *_mirrored("fixes", FIX),
-    *_mirrored("velocity", VELOCITY),
-    *_mirrored("gps", FIX, VELOCITY),
-    *_units("fixes", *FIX),
-    *_units("velocity", *VELOCITY),
+    *(each for vectors, sensor in (
+        ((FIX,), "fixes"), ((VELOCITY,), "velocity"), ((FIX, VELOCITY), "gps"), ((GYROS,), "gyro"),
+        ((GYROS[2:],), "gyro"), ((FORCES,), "accelerometers"), ((FORCES[:2],), "accelerometers"),
+        ((ANGLES,), "ahrs"),
+    ) for each in _mirrored(sensor, *vectors)),
+    *(each for names, sensor in (
+        (FIX, "fixes"), (VELOCITY, "velocity"), (ANGLES, "ahrs"), (HEIGHT, "height"),
+        (CLIMB, "climb"), *((part, "gyro") for part in (GYROS, GYROS[:2], *zip(GYROS))),
+        *((part, "accelerometers") for part in (FORCES, FORCES[:2], *zip(FORCES))),
+    ) for each in _units(sensor, *names)),
+    *(Hypothesis("late", sensor, f"{sensor}: {{size}} s late", STAMPS, names,
+                 _late(*names), DELAY) for sensor, names in (
+        ("compass", COMPASS), ("fixes", FIX), ("velocity", VELOCITY), ("gyro", GYROS[2:]))),
+    Hypothesis("late", "gps", "the GPS comes {size} s late", f"gps_latency = {{value}} {STATED}",
+               (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY),
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
                _of_way, cost=RARE_COST, guess=True),
@@ -261,19 +257,6 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
               _turned(VELOCITY), ASKEW),
-    Hypothesis("late", "gps", "the GPS comes {size} s late",
-              f"gps_latency = {{value}} {STATED}", (*FIX, *VELOCITY),
-              _late(*FIX, *VELOCITY), DELAY),
-    Hypothesis("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
-    Hypothesis("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
-              _late(*VELOCITY), DELAY),
-    *_mirrored("gyro", GYROS),
-    *_mirrored("gyro", GYROS[2:]),
-    *_mirrored("accelerometers", FORCES),
-    *_mirrored("accelerometers", FORCES[:2]),
-    *(unit for names in (GYROS, GYROS[:2], *zip(GYROS)) for unit in _units("gyro", *names)),
-    *(unit for names in (FORCES, FORCES[:2], *zip(FORCES))
-      for unit in _units("accelerometers", *names)),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
@@ -292,27 +275,24 @@ TABLE: tuple[Hypothesis, ...] = (
                 _scaled(name), SCALES) for name in GYROS),
     Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
               f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
-    Hypothesis("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
-              _late(GYROS[2]), DELAY),
-    *_mirrored("ahrs", ANGLES),
-    *_units("ahrs", *ANGLES),
     *(_opposite("sign", "ahrs", f"{' and '.join(pair)} with the wrong sign", pair)
       for pair in zip(ANGLES, GYROS[:2], strict=True)),
     _opposite("sign", "height", "gps_z_m is above 0 upwards", HEIGHT),
     _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
     _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
-    *_units("height", *HEIGHT),
-    *_units("climb", *CLIMB),
     Hypothesis("sign", "commands", "the shaft speeds have the wrong sign",
                "scale = -1.0 there in the mapping", SHAFTS, _map(SHAFTS, -np.eye(2))),
     Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping",
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
     Hypothesis("sign", "steering", "steering to starboard turns to port",
                "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
-    _of_side("sign", "left", "n_left_rps has the wrong sign", [-1.0, 1.0]),
-    _of_side("sign", "right", "n_right_rps has the wrong sign", [1.0, -1.0]),
-    _of_side("sides", "left", "the left unit hardly turns the boat", [0.0, 1.0]),
-    _of_side("sides", "right", "the right unit hardly turns the boat", [1.0, 0.0]),
+    *(Hypothesis(code, side, what, "check this thruster, or its column in the mapping", SHAFTS,
+                 _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_COST)
+      for code, side, what, factors in (
+        ("sign", "left", "n_left_rps has the wrong sign", (-1.0, 1.0)),
+        ("sign", "right", "n_right_rps has the wrong sign", (1.0, -1.0)),
+        ("sides", "left", "the left unit hardly turns the boat", (0.0, 1.0)),
+        ("sides", "right", "the right unit hardly turns the boat", (1.0, 0.0)))),
 )  # fmt: skip
 """All faults that are looked for."""
 
@@ -350,7 +330,7 @@ def _at_most(base: Evidence, each: Hypothesis) -> float:
     """Return the score of a hypothesis that explains all that it touches."""
     touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
-    return most - each.cost - NUMBER_COST
+    return most - each.cost - COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
@@ -371,7 +351,7 @@ def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) ->
 
     size, sd, cost = math.nan, math.nan, each.cost
     if each.scan is not None:
-        cost += NUMBER_COST
+        cost += COST
         values = np.array(each.scan.values)
         scores = [at(float(value))[0] for value in values]
         size = float(values[np.argmax(scores)])
@@ -422,7 +402,7 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
         if not likely:
             return found, s, undone
         best = max(likely, key=lambda trial: trial.score)
-        near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
+        near = [t for t in likely if t.score > best.score - COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(best)
         # what is guessed cannot be held against others
