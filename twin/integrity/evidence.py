@@ -59,8 +59,8 @@ FLOOR = 0.002
 GYRO_ZERO_RADPS = 0.01
 """The zero of a gyro is off by less."""
 
-CURRENT_SHARE, DRIFT_RAD = 0.3, 0.5
-"""A current is about this share of the speed; in its quickest turns a hull drifts by this."""
+SLIP = 0.5
+"""A current is up to this share of the speed; in quick turns a hull drifts by so many rad."""
 
 SLOW_S = 6.0
 """Motion that is slower is heel, trim, drift of sensors and current."""
@@ -386,14 +386,14 @@ def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
     # current north and east and drift, as shares of the speed, by ridge regression of the sway
     side = (v * axes.conj()).imag / size
     known = np.column_stack([-axes.imag, axes.real, turned / max(float(np.std(turned)), 1e-9)])
-    prior, fit = np.array([CURRENT_SHARE, CURRENT_SHARE, DRIFT_RAD]), np.zeros(3)
+    fit = np.zeros(3)
     for _ in range(3):
         left = side - known @ fit
-        weight = float(left @ left) / len(v) * np.diag(prior**-2.0)
+        weight = float(left @ left) / len(v) / SLIP**2 * np.eye(3)
         fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
     # no current is as fast as the boat, whatever it would explain
-    share = min(1.0, 2.0 * CURRENT_SHARE / max(math.hypot(fit[0], fit[1]), 1e-9))
-    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -DRIFT_RAD, DRIFT_RAD)
+    share = min(1.0, SLIP / max(math.hypot(fit[0], fit[1]), 1e-9))
+    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -SLIP, SLIP)
     sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
     ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
     return v, current + axes * (ahead + 1j * size * drift * known[:, 2])

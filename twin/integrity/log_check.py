@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,13 +49,13 @@ from twin.integrity.rows import (
 )
 from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
 from twin.integrity.state import SENSORS as CHECKED
-from twin.integrity.transforms import Trial, explain, measured, unseen_faults
-from twin.logs.checks import in_degrees, is_gap
+from twin.integrity.transforms import Trial, explain, measured, unseen
+from twin.logs.checks import in_degrees
 from twin.logs.errors import LogError
 from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
-from twin.logs.signals import ENOUGH, runs_of
+from twin.logs.signals import runs_of
 from twin.particulars import Instruments, Particulars
 
 __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
@@ -211,7 +211,7 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
         what = f"{kept.called(*FIX)}: {why}"
         remedy = "give latitude and longitude in [position] of a mapping file"
         found.append(Finding(ERROR, "unit", what, remedy, "fixes"))
-        kept = _without(kept, FIX)
+        kept = kept.without(FIX)
     if any(finding.code == "time-unit" for finding in found):
         kept = dataclasses.replace(kept, t=1e-3 * kept.t)
     found += check_commands(kept, particulars)
@@ -222,11 +222,12 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
         faults, signals, undone = explain(signals)
         found += faults
         evidence = log_likelihood(signals)
-        found += _unknown(signals, evidence, found)
+        known = {finding.sensor for finding in found}
+        found += [each for each in unseen(signals, evidence) if each.sensor not in known]
         if signals.has(*FORCES[:2]):
-            late = measured(signals, "late", "gps")
+            late = measured(signals, evidence, "late", "gps")
             numbers["gps_latency"] = late and late._replace(size=late.size + signals.latency)
-        numbers["gyro_bias_sd"] = measured(signals, "bias", "gyro")
+        numbers["gyro_bias_sd"] = measured(signals, evidence, "bias", "gyro")
     instruments, reasons = estimate_instruments(kept, figures, numbers, particulars)
     found += _doubted(kept, found, undone, instruments, particulars)
     agreed = {name: max(1.0 - one.rho, 0.0) for name, one in evidence.items() if one is not None}
@@ -238,38 +239,16 @@ def _sorted(found: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(dict.fromkeys(found), key=lambda each: SEVERITIES.index(each.severity)))
 
 
-def _without(
-    recording: Recording, names: Iterable[str], inside: slice | npt.NDArray[Any] = slice(None)
-) -> Recording:
-    """Return a recording without some columns, in all rows or some."""
-    z = recording.z.copy()
-    for name in {*names}.intersection(MEASUREMENTS):
-        z[inside, MEASUREMENTS.index(name)] = np.nan
-    return dataclasses.replace(recording, z=z)
-
-
 def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
     """Return a recording without dead and frozen columns."""
     for finding in found:
         names = SENSORS.get(finding.sensor, (finding.sensor,))
         if finding.code == "frozen":
             inside = (recording.t > finding.start) & (recording.t <= finding.end)
-            recording = _without(recording, names, inside)
+            recording = recording.without(names, inside)
         elif finding.code == "dead":
-            recording = _without(recording, names)
+            recording = recording.without(names)
     return recording
-
-
-def _unknown(signals: Signals, evidence: Evidence, found: list[Finding]) -> list[Finding]:
-    """Return a note on faults that the log would not show."""
-    known = {finding.sensor for finding in found}
-    remedy = "record turns to both sides, legs in several directions and changes of thrust"
-    said = "this log does not tell whether"
-    return [
-        Finding(NOTE, "unchecked", f"{sensor}: {said} {' or '.join(faults)}", remedy, sensor)
-        for sensor, faults in unseen_faults(signals, evidence).items()
-        if sensor not in known
-    ]
 
 
 def _doubted(
@@ -289,13 +268,7 @@ def _doubted(
         finding.sensor for finding in known if finding.severity != NOTE
     )
     t, found = rows.t, []
-    # after a gap they begin anew
-    begins = np.flatnonzero(is_gap(t) & (np.diff(t) > SHORT_S)) + 1
-    if len(begins) > len(t) / ENOUGH:
-        return []
-    parts = np.split(np.arange(len(t)), begins)
-    ran = [run_over(boat, t[part], rows.z[part], rows.cmd[part]) for part in parts]
-    statuses, reasons = (np.concatenate(each) for each in zip(*ran, strict=True))
+    statuses, reasons = run_over(boat, t, rows.z, rows.cmd)
     for j, sensor in enumerate(CHECKED if with_commands else CHECKED[:-1]):
         out = (statuses[:, j] == EXCLUDED) | (statuses[:, j] == DOUBTFUL)
         runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > SHORT_S]

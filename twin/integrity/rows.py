@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -135,8 +134,11 @@ def check_time(recording: Recording) -> list[Finding]:
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
-    if (jitter := _uneven(step[~gap])) > JITTER * median:
-        found += _jitter(recording, median, jitter)
+    jitter, whose = _uneven(step[~gap]), _uneven_sensors(recording)
+    if jitter > JITTER * median and whose:
+        what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
+        remedy = "stamp samples when they are taken, not when they are written"
+        found.append(Finding(WARNING, "jitter", what, remedy, "time", jitter))
     along, across, speed = fix_scatter(*recording.samples(*FIX))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
@@ -155,27 +157,21 @@ def _uneven(steps: Array) -> float:
     return 0.0 if same > 0.5 else robust_sd(steps)
 
 
-def _jitter(recording: Recording, median: float, jitter: float) -> list[Finding]:
-    """Return a finding where the stamps of samples jitter, of all sensors or some.
+def _uneven_sensors(recording: Recording) -> str:
+    """Return whose stamps jitter, if any.
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
     """
-    uneven, even = list[str](), list[str]()
+    uneven = dict[str, bool]()
     for sensor, names in SENSORS.items():
         values = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
         given = np.isfinite(values).all(axis=1)
         # rows may hold the last sample until the next one
         times = recording.t[given], recording.t[given & ~repeated(values)]
         steps = [np.diff(t) for t in times if len(t) > ENOUGH]
-        jitters = [_uneven(step) / float(np.median(step)) for step in steps]
-        if jitters:
-            (uneven if min(jitters) > JITTER else even).append(sensor)
-    if not uneven:
-        return []
-    whose = ", ".join(uneven) if even else "the rows"
-    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
-    remedy = "stamp samples when they are taken, not when they are written"
-    return [Finding(WARNING, "jitter", what, remedy, "time", jitter)]
+        if steps:
+            uneven[sensor] = all(_uneven(each) > JITTER * np.median(each) for each in steps)
+    return "the rows" if all(uneven.values()) else ", ".join(k for k, v in uneven.items() if v)
 
 
 def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
@@ -216,15 +212,14 @@ def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
     equal = int((step == 0.0).sum())
     if equal:
         what = f"{equal} of {len(valid)} rows have the time of the row before"
-        if clashes and spread(valid) is not None:
+        remedy = "they do not contradict it, and are merged with it when the log is read"
+        spreads = clashes and spread(valid) is not None
+        if spreads:
             remedy = "they are spread over the time that the clock counts by"
-            say(what, remedy, float(equal), NOTE)
         elif clashes:
             what += f"; {clashes} of them have other values, as times in whole seconds do"
-            say(what, "record fractions of a second, or keep one row of each time", float(equal))
-        else:
-            remedy = "they do not contradict it, and are merged with it when the log is read"
-            say(what, remedy, float(equal), NOTE)
+            remedy = "record fractions of a second, or keep one row of each time"
+        say(what, remedy, float(equal), ERROR if clashes and not spreads else NOTE)
     return found
 
 
@@ -367,9 +362,7 @@ def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
         severity = WARNING if lost < FEW * jumps.fixes else ERROR
         span = {"start": float(t[jumps.lost[0]]), "end": float(t[jumps.lost[-1]])}
         found.append(Finding(severity, "jump", what, remedy, "fix", jumps.length, **span))
-        z = recording.z.copy()
-        z[jumps.lost, :2] = np.nan
-        recording = dataclasses.replace(recording, z=z)
+        recording = recording.without(FIX, jumps.lost)
     for sensor, least, unit in (("fix", LEAP_M, "m"), ("compass", LEAP_RAD, "rad")):
         t, values = recording.samples(*SENSORS[sensor])
         if len(t) < MANY:
@@ -402,14 +395,15 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
     Such are glitches, and numbers that stand for "no value". These may come often: so each distinct
     value counts once. Fixes have a rule of their own (:func:`without_leaps`).
     """
-    z, found = recording.z.copy(), list[Finding]()
+    found = list[Finding]()
     others = ((name,) for name in MEASUREMENTS if name not in (*FIX, *VELOCITY))
     for names in (VELOCITY, *others):
         columns = [MEASUREMENTS.index(name) for name in names]
         # made of speed and course, a mark is in both
-        values = z[:, columns[0]] if len(columns) == 1 else np.hypot(*z[:, columns].T)
-        middle = np.median(np.unique(values[np.isfinite(values)])) if len(columns) == 1 else 0.0
-        size = np.abs(values - middle)
+        values = recording.z[:, columns].T
+        values = np.hypot(*values) if names == VELOCITY else values[0]
+        middle = np.median(np.unique(values[np.isfinite(values)]))
+        size = np.abs(values - (0.0 if names == VELOCITY else middle))
         distinct = np.unique(size[np.isfinite(size)].round(9))
         if len(distinct) < ENOUGH:
             continue
@@ -417,7 +411,7 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
         rows = np.flatnonzero(size > max(ABSURD * usual, ABSURD_FROM.get(unit, FAR)))
         if not len(rows):
             continue
-        z[rows[:, None], columns] = np.nan
+        recording = recording.without(names, rows)
         count, row = int(np.isfinite(values).sum()), rows[np.argmax(size[rows])]
         knots = f" ({values[row] / UNITS['mps']['kn']:.5g} kn)" if unit == "mps" else ""
         what = (
@@ -430,7 +424,7 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
         sensor = "velocity" if names == VELOCITY else names[0]
         found.append(Finding(severity, "mark", what, remedy, sensor, float(values[row]), **span))
-    return (dataclasses.replace(recording, z=z) if found else recording), found
+    return recording, found
 
 
 def check_commands(recording: Recording, particulars: Particulars | None) -> list[Finding]:
@@ -447,23 +441,21 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
     if motion is not None and len(motion[0]) > 1:
         at, speed = motion[0], np.hypot(*motion[1].T)
         way = float(speed.sum() * np.median(np.diff(at)))
-        for used, sensor, which in (
-            (n, "commands", name),
-            (n[:, 0], "left", COMMANDS[0]),
-            (n[:, 1], "right", COMMANDS[1]),
-        ):
-            if way > SAILS_M and not used.any() and (used is n or n.any()):
-                what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
-                remedy = "record them all; a boat with one shaft only has one column, n_rps"
-                code, severity = ("sides", WARNING) if n.any() else ("missing", ERROR)
-                found.append(Finding(severity, code, what, remedy, sensor))
+        still = [
+            side for side, used in zip(("left", "right"), n.any(axis=0), strict=True) if not used
+        ]
+        if way > SAILS_M and still:
+            sensor, severity = ("commands", ERROR) if len(still) > 1 else (still[0], WARNING)
+            code, which = ("missing", name) if len(still) > 1 else ("sides", f"n_{still[0]}_rps")
+            what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
+            remedy = "record them all; a boat with one shaft only has one column, n_rps"
+            found.append(Finding(severity, code, what, remedy, sensor))
         if particulars is not None and SHARE not in name and n.any():
             found += _shaft_unit(recording, name, n, at, speed, particulars)
     if particulars is not None:
-        unequal = (n[:, 0] != n[:, 1]).mean() > 0.5
-        fixed = particulars.steering == "differential"
-        moved = bool(np.ptp(delta, axis=0).any())
-        if (fixed and moved) or (not fixed and not delta.any() and unequal):
+        fixed, moved = particulars.steering == "differential", bool(np.ptp(delta, axis=0).any())
+        unequal = not delta.any() and (n[:, 0] != n[:, 1]).mean() > 0.5
+        if moved if fixed else unequal:
             other = "drives" if fixed else "differential"
             what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"
             remedy = f'steering = "{other}" in the particulars, or other columns in the mapping'
@@ -494,17 +486,17 @@ def _shaft_unit(
         times = particulars.speed / particulars.shaft_speed / advance
     if 1.0 / SHAFT_FAR < times < SHAFT_FAR:
         return []
-    units = {
-        "rpm": (60.0, 'unit = "rpm" in the mapping'),
-        "rad/s": (2.0 * math.pi, 'unit = "radps" in the mapping'),
-        "another unit": (times, "state it in the mapping: scale = ... for shares and per cent"),
-    }
-    unit = next(u for u, (f, _) in units.items() if abs(math.log(times / f)) < math.log(SHAFT_NEAR))
+    remedy, severity = "state it in the mapping: scale = ... for shares and per cent", WARNING
+    unit = "another unit"
+    for known, factor, how in (
+        ("rpm", 60.0, 'unit = "rpm" in the mapping'),
+        ("rad/s", 2.0 * math.pi, 'unit = "radps" in the mapping'),
+    ):
+        if 1.0 / SHAFT_NEAR < times / factor < SHAFT_NEAR:
+            unit, remedy, severity = known, how, ERROR
     if n.min() > 0.5 * n.max() > SHAFT_FAR * particulars.shaft_speed:
-        unit, remedy = "pulse widths", "make neutral 0: scale = 0.02, offset = -30.0 for 1500 us"
-    else:
-        remedy = units[unit][1]
+        unit, severity = "pulse widths", ERROR
+        remedy = "make neutral 0: scale = 0.02, offset = -30.0 for 1500 us"
     what = f"{name}: up to {typical:.4g}, {times:.3g} times too large: {unit}"
     remedy += ", or correct speed and shaft_speed in the particulars"
-    severity = WARNING if unit == "another unit" else ERROR
     return [Finding(severity, "unit", what, remedy, "shafts", times)]

@@ -29,12 +29,12 @@ from twin.integrity.evidence import (
     gain,
     log_likelihood,
 )
-from twin.integrity.findings import ERROR, WARNING, Finding
+from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, VELOCITY
 from twin.logs.columns import UNITS
 from twin.particulars import GRAVITY
 
-__all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen_faults"]
+__all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen"]
 
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
@@ -427,16 +427,16 @@ def _finding(trial: Trial, rivals: list[Trial], latency: float) -> Finding:
     return Finding(each.severity, each.code, what, remedy, each.sensor, size, low, high)
 
 
-def measured(s: Signals, code: str, sensor: str) -> Trial | None:
+def measured(s: Signals, base: Evidence, code: str, sensor: str) -> Trial | None:
     """Return the number of a fault, such as the delay of the GPS, whatever its size."""
     for each in hypotheses(s):
         if each.scan is not None and (each.code, each.sensor) == (code, sensor):
-            return _try(s, log_likelihood(s), each, harmless=False)
+            return _try(s, base, each, harmless=False)
     return None
 
 
-def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
-    """Return faults, by sensor, that would not show in signals that are sound."""
+def unseen(s: Signals, base: Evidence) -> list[Finding]:
+    """Return notes, by sensor, on faults that would not show in signals that are sound."""
     found: dict[str, list[str]] = {}
     for each in hypotheses(s):
         sizes = [math.nan]
@@ -448,4 +448,9 @@ def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
         moves = np.nanstd(np.abs(s.stacked(*each.changed)), axis=1).any()
         if moves and max(_total(base, one, each) for one in after) > -ENOUGH_GAIN:
             found.setdefault(each.sensor, []).append(each.words(each.what, max(sizes)))
-    return found
+    remedy = "record turns to both sides, legs in several directions and changes of thrust"
+    said = "this log does not tell whether"
+    return [
+        Finding(NOTE, "unchecked", f"{sensor}: {said} {' or '.join(faults)}", remedy, sensor)
+        for sensor, faults in found.items()
+    ]
