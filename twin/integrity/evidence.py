@@ -292,10 +292,6 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
         gyros = np.array(angle_rates(s[ANGLES[0]], s[ANGLES[1]], gyros))
     angle, rate = s[name], _sum(gyros[axis], s.step)
     x, y = _changes(angle, width), _changes(rate, width)
-    # as long as noise is a part of it
-    while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
-        width *= 2
-        x, y = _changes(angle, width), _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
     return x, y - min(max(bias, -bound), bound)
@@ -336,12 +332,8 @@ def _heaved(s: Signals) -> Pair:
 
 
 def _risen(s: Signals) -> Pair:
-    """Fast part of the height, and of the integrated vertical speed or force."""
-    climb = s["gps_vz_mps"]
-    if not s.has("gps_vz_mps"):
-        total = _sum(s[FORCES[2]] - np.nanmean(s[FORCES[2]]), s.step)
-        climb = total - _mean(total, s.width(SLOW_S, 0.0, "gps_z_m"))
-    return _both(s, s["gps_z_m"], climb, s.width(1.0, 2.0, "gps_z_m"), 2)
+    """Changes of the height, and of the integrated vertical speed."""
+    return _both(s, s["gps_z_m"], s["gps_vz_mps"], s.width(1.0, 2.0, "gps_z_m"), 2)
 
 
 def _weighed(s: Signals) -> Pair:
