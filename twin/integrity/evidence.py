@@ -294,7 +294,7 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     x, y = _changes(angle, width), _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
-    return x, y - min(max(bias, -bound), bound)
+    return x, y - bound * math.tanh(bias / bound)
 
 
 def _accelerations(s: Signals) -> npt.NDArray[np.complex128]:

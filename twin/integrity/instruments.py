@@ -31,9 +31,9 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-LEAST = 0.25
-"""No standard deviation is set to a smaller share of the usual one: filtered columns are smoother
-than the sensor is true."""
+LEAST, LEAST_FIX_M = 0.25, 0.005
+"""No standard deviation is set to a smaller share of the usual one, nor that of fixes, which differ
+more, to less than the second: filtered columns are smoother than the sensor is true."""
 
 UPRIGHT_MPS2 = 0.07
 """Margin for what the white noise of an accelerometer leaves out: the tilt of the boat."""
@@ -121,13 +121,13 @@ def estimate_instruments(
     usual, scatter = Instruments(), "scatter from sample to sample"
     along = fix_scatter(*recording.samples(*FIX))[0]
     found = {
-        "gps_sd": (noise["fix"], "scatter from fix to fix"),
+        "gps_sd": (max(noise["fix"], LEAST_FIX_M), "scatter from fix to fix"),
         "accel_sd": (
             math.hypot(noise["accelerometers"], UPRIGHT_MPS2),
             f"{scatter}, and {UPRIGHT_MPS2} for tilt",
         ),
     }
-    if along > noise["fix"]:
+    if along > found["gps_sd"][0]:
         found["gps_sd"] = along, "scatter of the fixes along the track"
     for key, sensor in NOISY.items():
         value, least = noise[sensor], LEAST * getattr(usual, key)

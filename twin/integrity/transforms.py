@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from twin.channels import COMMANDS
 from twin.integrity.evidence import (
@@ -341,35 +342,27 @@ def _explains(before: Evidence, after: Evidence) -> bool:
     )
 
 
-def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> Trial:
-    """Return what a hypothesis explains, its number at its best; a harmless one roughly."""
+def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
+    """Return what a hypothesis explains, its number where that is most."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
         after = log_likelihood(changed, each.changed, base)
-        return _total(base, after, each), changed, after
+        return _total(base, after, each) - cost, changed, after
 
     size, sd, cost = math.nan, math.nan, each.cost
     if each.scan is not None:
         cost += COST
         values = np.array(each.scan.values)
         scores = [at(float(value))[0] for value in values]
-        size = float(values[np.argmax(scores)])
-        width = 0.3 * size if each.scan.nominal == 1.0 else float(values[1] - values[0])
-        sd = math.inf
-        for _ in range(5):  # parabolas, ever narrower
-            if harmless and abs(size - each.scan.nominal) + 2.0 * width < each.scan.least:
-                break
-            left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
-            bend = left - 2.0 * middle + right
-            if bend < 0.0:
-                sd = min(sd, width / math.sqrt(-bend))
-                size += min(max(0.5 * (left - right) / bend, -1.0), 1.0) * width
-            elif max(left, right) > middle:
-                size += width if right > left else -width
-            width *= 0.4
-    score, changed, after = at(size)
-    return Trial(each, size, sd, score - cost, changed, after)
+        k = int(np.argmax(scores))
+        low, high = np.pad(values, 1, "reflect", reflect_type="odd")[[k, k + 2]]
+        width, accuracy = 0.1 * (high - low), {"xatol": 0.01 * (high - low)}
+        best = minimize_scalar(lambda x: -at(x)[0], bounds=(low, high), options=accuracy)
+        size = float(best.x if -best.fun > scores[k] else values[k])
+        bend = at(size - width)[0] + at(size + width)[0] - 2.0 * max(-best.fun, scores[k])
+        sd = width / math.sqrt(-bend) if bend < 0.0 else math.inf
+    return Trial(each, size, sd, *at(size))
 
 
 def _counts(trial: Trial) -> bool:
@@ -431,7 +424,7 @@ def measured(s: Signals, base: Evidence, code: str, sensor: str) -> Trial | None
     """Return the number of a fault, such as the delay of the GPS, whatever its size."""
     for each in hypotheses(s):
         if each.scan is not None and (each.code, each.sensor) == (code, sensor):
-            return _try(s, base, each, harmless=False)
+            return _try(s, base, each)
     return None
 
 
