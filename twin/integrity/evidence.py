@@ -292,6 +292,10 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
         gyros = np.array(angle_rates(s[ANGLES[0]], s[ANGLES[1]], gyros))
     angle, rate = s[name], _sum(gyros[axis], s.step)
     x, y = _changes(angle, width), _changes(rate, width)
+    # as long as noise is a part of it
+    while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
+        width *= 2
+        x, y = _changes(angle, width), _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
     return x, y - bound * math.tanh(bias / bound)

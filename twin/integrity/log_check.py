@@ -23,6 +23,8 @@ from twin.integrity.evidence import (
     RAW_HEADING,
     Evidence,
     Signals,
+    angle_rates,
+    level_forces,
     log_likelihood,
     signals_of,
 )
@@ -36,8 +38,10 @@ from twin.integrity.instruments import (
 )
 from twin.integrity.monitor import run_over
 from twin.integrity.rows import (
+    ANGLES,
     FIX,
     FORCES,
+    GYROS,
     MANY,
     SENSORS,
     check_cells,
@@ -56,7 +60,7 @@ from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
 from twin.logs.signals import runs_of
-from twin.particulars import Instruments, Particulars
+from twin.particulars import GRAVITY, Instruments, Particulars
 
 __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
 
@@ -301,5 +305,18 @@ def _mended(recording: Recording, undone: list[Trial]) -> Recording:
     rows = Signals(recording.t, columns | {RAW_HEADING: columns["compass_rad"]})
     for each in undone:
         rows = each.on_rows(rows)
+    if rows.has(*ANGLES):
+        roll, pitch = (
+            np.interp(rows.t, rows.t[seen], rows[name][seen])
+            for name in ANGLES
+            for seen in [np.isfinite(rows[name])]
+        )
+        gyros = np.nan_to_num(rows.stacked(*GYROS))
+        forces = rows.stacked(*FORCES)
+        forces[2, np.isnan(forces[2])] = -GRAVITY
+        known = np.isfinite(rows[GYROS[2]])
+        turning = np.where(known, angle_rates(roll, pitch, gyros)[2], math.nan)
+        rows = rows.having(GYROS[2:], turning[None])
+        rows = rows.having(FORCES[:2], np.array(level_forces(roll, pitch, forces)))
     z, cmd = rows.stacked(*MEASUREMENTS).T, rows.stacked(*COMMANDS).T
     return dataclasses.replace(recording, z=z, cmd=cmd)
