@@ -441,9 +441,8 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
     if motion is not None and len(motion[0]) > 1:
         at, speed = motion[0], np.hypot(*motion[1].T)
         way = float(speed.sum() * np.median(np.diff(at)))
-        still = [
-            side for side, used in zip(("left", "right"), n.any(axis=0), strict=True) if not used
-        ]
+        used = {"left": n[:, 0].any(), "right": n[:, 1].any()}
+        still = [side for side, moves in used.items() if not moves]
         if way > SAILS_M and still:
             sensor, severity = ("commands", ERROR) if len(still) > 1 else (still[0], WARNING)
             code, which = ("missing", name) if len(still) > 1 else ("sides", f"n_{still[0]}_rps")
