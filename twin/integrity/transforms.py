@@ -40,14 +40,16 @@ __all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen"]
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
 
-ENOUGH_GAIN = 20.0
-"""Log-likelihood, beyond what a fault costs, from which on it is one. It is the cost, too, of one
-that explains what others leave: of one side, for thrusts are seldom even, and of a velocity that
-keeps its size only."""
+ENOUGH_GAIN = 15.0
+"""Log-likelihood, beyond what a fault costs, from which on it is one."""
 
 COST = 5.0
 """Of each number that is fitted, and each further mistake that a fault is made of; a rival that
 explains a log so nearly as well is named beside the best."""
+
+RARE_COST = 25.0
+"""Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
+velocity that keeps its size only."""
 
 POINTS = 13
 """Of a parameter, so many values are tried first."""
@@ -249,7 +251,7 @@ TABLE: tuple[Hypothesis, ...] = (
                (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY),
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
-               _of_way, cost=ENOUGH_GAIN, guess=True),
+               _of_way, cost=RARE_COST, guess=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
               SCALES, error=True),
@@ -286,7 +288,7 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("sign", "steering", "steering to starboard turns to port",
                "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
     *(Hypothesis(code, side, what, "check this thruster, or its column in the mapping", SHAFTS,
-                 _map(SHAFTS, np.diag(factors)), None, code == "sign", ENOUGH_GAIN)
+                 _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_COST)
       for code, side, what, factors in (
         ("sign", "left", "n_left_rps has the wrong sign", (-1.0, 1.0)),
         ("sign", "right", "n_right_rps has the wrong sign", (1.0, -1.0)),
