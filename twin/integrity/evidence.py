@@ -35,6 +35,7 @@ from usv_kernel.scalar import rotation
 __all__ = [
     "BY_COMMANDS",
     "FLOOR",
+    "GYRO_ZERO_RADPS",
     "RAW_HEADING",
     "Comparison",
     "Evidence",
@@ -58,8 +59,8 @@ FLOOR = 0.002
 GYRO_ZERO_RADPS = 0.01
 """The zero of a gyro is off by less."""
 
-CURRENT_SHARE, DRIFT_RAD = 0.3, 0.5
-"""A current is about this share of the speed; in its quickest turns a hull drifts by this."""
+SLIP = 0.5
+"""A current is up to this share of the speed; in quick turns a hull drifts by so many rad."""
 
 SLOW_S = 6.0
 """Motion that is slower is heel, trim, drift of sensors and current."""
@@ -88,7 +89,6 @@ class Signals:
     columns: Mapping[str, Array]
     intervals: Mapping[str, float] = field(default_factory=dict)  # between samples of a column, s
     way_s: float = 2.0  # over which the way of the fixes is several times their noise
-    horizon_s: float = 0.0  # over which commands explain the turning best; 0: not at all
     latency: float = 0.0  # of the GPS, which is taken out, s
 
     def __getitem__(self, name: str) -> Array:
@@ -170,17 +170,15 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
             columns[RAW_HEADING] = np.where(np.isfinite(even[:, 0]), raw, math.nan)
         if names == FIX:
             way_s = ways(at, values)[2]
-    signals = Signals(grid, columns, intervals, way_s, latency=stated.gps_latency)
-    if stated.imu_mounting != (0.0, 0.0, 0.0):
-        signals = _mounted(signals, np.array(rotation(stated.imu_mounting)))
-    explained = {horizon: _explanation(*_turns_by(signals, horizon)) for horizon in HORIZONS_S}
-    best = max(explained, key=lambda horizon: explained[horizon])
-    return dataclasses.replace(signals, horizon_s=best if explained[best] > 0.0 else 0.0)
-
-
-def _mounted(s: Signals, turn: Array) -> Signals:
-    """Return signals of an IMU turned into the axes of the boat; upright where axes are missing."""
-    gyros, forces = s.stacked(*GYROS), s.stacked(*FORCES)
+    s = Signals(grid, columns, intervals, way_s, latency=stated.gps_latency)
+    if stated.imu_mounting == (0.0, 0.0, 0.0):
+        return s
+    # upright where axes are missing
+    turn, gyros, forces = (
+        np.array(rotation(stated.imu_mounting)),
+        s.stacked(*GYROS),
+        s.stacked(*FORCES),
+    )
     if not s.has(*GYROS[:2]):
         gyros[:2] = 0.0
     if not s.has(FORCES[2]):
@@ -300,7 +298,7 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
         x, y = _changes(angle, width), _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
-    return x, y - min(max(bias, -bound), bound)
+    return x, y - bound * math.tanh(bias / bound)
 
 
 def _accelerations(s: Signals) -> npt.NDArray[np.complex128]:
@@ -338,12 +336,8 @@ def _heaved(s: Signals) -> Pair:
 
 
 def _risen(s: Signals) -> Pair:
-    """Fast part of the height, and of the integrated vertical speed or force."""
-    climb = s["gps_vz_mps"]
-    if not s.has("gps_vz_mps"):
-        total = _sum(s[FORCES[2]] - np.nanmean(s[FORCES[2]]), s.step)
-        climb = total - _mean(total, s.width(SLOW_S, 0.0, "gps_z_m"))
-    return _both(s, s["gps_z_m"], climb, s.width(1.0, 2.0, "gps_z_m"), 2)
+    """Changes of the height, and of the integrated vertical speed."""
+    return _both(s, s["gps_z_m"], s["gps_vz_mps"], s.width(1.0, 2.0, "gps_z_m"), 2)
 
 
 def _weighed(s: Signals) -> Pair:
@@ -388,14 +382,14 @@ def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
     # current north and east and drift, as shares of the speed, by ridge regression of the sway
     side = (v * axes.conj()).imag / size
     known = np.column_stack([-axes.imag, axes.real, turned / max(float(np.std(turned)), 1e-9)])
-    prior, fit = np.array([CURRENT_SHARE, CURRENT_SHARE, DRIFT_RAD]), np.zeros(3)
+    fit = np.zeros(3)
     for _ in range(3):
         left = side - known @ fit
-        weight = float(left @ left) / len(v) * np.diag(prior**-2.0)
+        weight = float(left @ left) / len(v) / SLIP**2 * np.eye(3)
         fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
     # no current is as fast as the boat, whatever it would explain
-    share = min(1.0, 2.0 * CURRENT_SHARE / max(math.hypot(fit[0], fit[1]), 1e-9))
-    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -DRIFT_RAD, DRIFT_RAD)
+    share = min(1.0, SLIP / max(math.hypot(fit[0], fit[1]), 1e-9))
+    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -SLIP, SLIP)
     sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
     ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
     return v, current + axes * (ahead + 1j * size * drift * known[:, 2])
@@ -413,29 +407,24 @@ def _course(s: Signals) -> Pair:
     return _along(s, _mean(s.level(VELOCITY), width)[width::width], width)
 
 
-def _without(change: Array, own: list[Array], commands: list[Array]) -> tuple[Array, Array] | None:
-    """Return a change and the commands (n, k), both without what the motion itself explains."""
+def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[float, Pair]:
+    """Return a change without what the motion itself explains, and what commands make of it.
+
+    More of a command makes more of the motion: no effect is below 0. The first number is the
+    log-likelihood by which commands of either sign explain the change.
+    """
     ok = np.isfinite(np.array([change, *own, *commands])).all(axis=0)
     if ok.sum() < ENOUGH:
-        return None
+        return 0.0, (change[:0], change[:0])
     known = np.column_stack([*(column[ok] for column in own), np.ones(int(ok.sum()))])
     both = np.column_stack([change[ok], *(column[ok] for column in commands)])
     left = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
     size = np.linalg.norm(left, axis=0)
-    still = size < STILL * np.linalg.norm(both, axis=0)
-    still[0] = False
-    left[:, still] = 0.0
-    return left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
-
-
-def _explanation(change: Array, own: list[Array], commands: list[Array]) -> float:
-    """Return the log-likelihood by which commands of either sign explain a change."""
-    found = _without(change, own, commands)
-    if found is None:
-        return 0.0
-    y, made = found
-    left = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
-    return 0.5 * len(y) * math.log(max(float(y @ y), 1e-300) / max(float(left @ left), 1e-300))
+    size[size < STILL * np.linalg.norm(both, axis=0)] = math.inf
+    y, made = left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
+    either = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
+    shrunk = max(float(either @ either), 1e-300) / max(float(y @ y), 1e-300)
+    return -0.5 * len(y) * math.log(shrunk), (y, np.asarray(made @ nnls(made, y)[0]))
 
 
 def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Array]]:
@@ -450,7 +439,7 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
         acts.append(steering.mean(axis=0) * (total if total.any() else np.ones_like(total)))
     half = max(round(0.5 * horizon / s.step), 1)
     rows = np.arange(2 * half, len(s.t) - 3 * half, 2 * half)
-    if 2 * half * s.step < 3.0 * s.intervals.get("compass_rad", 0.0):
+    if half * s.step < s.intervals.get("compass_rad", 0.0):
         rows = rows[:0]
     # mean rates around the two ends; the commands act in between
     before = heading[rows + half] - heading[rows - half]
@@ -458,22 +447,10 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
 
 
-def _explained(change: Array, own: list[Array], commands: list[Array]) -> Pair:
-    """Return a change without what the motion itself explains, and what commands make of it.
-
-    More of a command makes more of the motion: no effect is below 0.
-    """
-    found = _without(change, own, commands)
-    if found is None:
-        return change[:0], change[:0]
-    return found[0], np.asarray(found[1] @ nnls(found[1], found[0])[0])
-
-
 def _yawed(s: Signals) -> Pair:
-    """Changes of the yaw rate by the compass, and what the commands make of it."""
-    if s.horizon_s == 0.0:
-        return np.zeros(0), np.zeros(0)
-    return _explained(*_turns_by(s, s.horizon_s))
+    """Changes of the yaw rate by the compass, and what the commands make of it at their horizon."""
+    tried = [_explained(*_turns_by(s, horizon)) for horizon in HORIZONS_S]
+    return max(tried, key=lambda each: each[0])[1]
 
 
 def _surged(s: Signals) -> Pair:
@@ -487,7 +464,7 @@ def _surged(s: Signals) -> Pair:
     force = _mean((shafts * np.abs(shafts)).sum(axis=0), width)
     between = force[np.minimum(rows + width // 2, len(s.t) - 1)][:-1]
     now = np.where(np.abs(turned) < ARC_RAD, ahead[:-1], math.nan)
-    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])
+    return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])[1]
 
 
 BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.integrity.rows import FIX, HUGE, SENSORS, fix_scatter, speed_of
-from twin.integrity.transforms import Measured
+from twin.integrity.rows import FIX, HUGE, SENSORS, STAMPS_S, fix_scatter, speed_of
+from twin.integrity.transforms import Trial
+from twin.logs.jumps import TYPICAL
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
 from twin.particulars import LATENCY_MAX, Instruments, Particulars
@@ -30,14 +31,12 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-LEAST = {"gps_sd": 0.005, "doppler_sd": 0.02, "compass_sd": 0.002, "gyro_sd": 5e-4}
-"""No standard deviation is set lower: filtered columns are smoother than the sensor is true."""
+LEAST, LEAST_FIX_M = 0.25, 0.005
+"""No standard deviation is set to a smaller share of the usual one, nor that of fixes, which differ
+more, to less than the second: filtered columns are smoother than the sensor is true."""
 
 UPRIGHT_MPS2 = 0.07
 """Margin for what the white noise of an accelerometer leaves out: the tilt of the boat."""
-
-KNOWN_S = 0.05
-"""A latency counts where its standard deviation is smaller."""
 
 NOISY = {"doppler_sd": "velocity", "compass_sd": "compass", "gyro_sd": "gyro"}
 """Sensors whose noise from sample to sample an instrument of the particulars is."""
@@ -99,7 +98,7 @@ def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
 def estimate_instruments(
     recording: Recording,
     figures: tuple[SensorFigures, ...],
-    measured: dict[str, Measured | None],
+    measured: dict[str, Trial | None],
     particulars: Particulars | None = None,
 ) -> tuple[Instruments, dict[str, str]]:
     """Return instruments as a log shows them, and for each key that it shows, how.
@@ -110,37 +109,36 @@ def estimate_instruments(
         The log.
     figures : tuple of SensorFigures
         Of its sensors.
-    measured : dict of str to Measured or None
+    measured : dict of str to Trial or None
         Latency of the GPS and bias of the gyro, as far as the log shows them.
     particulars : Particulars, optional
         For what a log cannot show: slow errors of position and heading, places of the sensors.
     """
-    found: dict[str, tuple[float, str]] = {}
     noise = {
         each.name: each.noise / UNITS[SENSORS[each.name][0].rpartition("_")[2]][1]
         for each in figures
     }
-
-    def set_noise(key: str, value: float, why: str) -> None:
-        if value < HUGE:
-            least = LEAST[key]
-            found[key] = (max(value, least), why if value > least else f"{why}, least value")
-
+    usual, scatter = Instruments(), "scatter from sample to sample"
     along = fix_scatter(*recording.samples(*FIX))[0]
-    if along > noise["fix"]:
-        set_noise("gps_sd", along, "scatter of the fixes along the track")
-    else:
-        set_noise("gps_sd", noise["fix"], "scatter from fix to fix")
+    found = {
+        "gps_sd": (max(noise["fix"], LEAST_FIX_M), "scatter from fix to fix"),
+        "accel_sd": (
+            math.hypot(noise["accelerometers"], UPRIGHT_MPS2),
+            f"{scatter}, and {UPRIGHT_MPS2} for tilt",
+        ),
+    }
+    if along > found["gps_sd"][0]:
+        found["gps_sd"] = along, "scatter of the fixes along the track"
     for key, sensor in NOISY.items():
-        set_noise(key, noise[sensor], "scatter from sample to sample")
-    if noise["accelerometers"] < HUGE:
-        scatter = math.hypot(noise["accelerometers"], UPRIGHT_MPS2)
-        found["accel_sd"] = scatter, f"scatter from sample to sample, and {UPRIGHT_MPS2} for tilt"
+        value, least = noise[sensor], LEAST * getattr(usual, key)
+        found[key] = max(value, least), scatter if value > least else f"{scatter}, least value"
     bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
     if bias is not None:
-        found["gyro_bias_sd"] = max(abs(bias.value), 5e-4), "mean difference from the compass"
-    if late is not None and late.sd < KNOWN_S < late.value + KNOWN_S:
-        found["gps_latency"] = min(late.value, LATENCY_MAX), "best agreement with accelerometers"
+        least = LEAST * usual.gyro_bias_sd
+        found["gyro_bias_sd"] = max(abs(bias.size), least), "mean difference from the compass"
+    if late is not None and late.sd < STAMPS_S < late.size + STAMPS_S:
+        found["gps_latency"] = min(late.size, LATENCY_MAX), "best agreement with accelerometers"
+    found = {key: pair for key, pair in found.items() if 0.0 <= pair[0] < HUGE}
     base = Instruments() if particulars is None else particulars.instruments
     values: dict[str, Any] = {key: float(f"{pair[0]:.3g}") for key, pair in found.items()}
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}
@@ -152,9 +150,9 @@ def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
     motion, speed, shaft = speed_of(recording), 1.0, 0.0
     if motion is not None:
         speeds = np.hypot(*motion[1].T)
-        speed = min(max(float(np.quantile(speeds, 0.75)), 0.5), 20.0)
-        fast = motion[0][speeds >= np.quantile(speeds, 0.75)]
-        shaft = float(np.median(np.interp(fast, recording.t, n)))
+        typical = float(np.quantile(speeds, TYPICAL))
+        speed = min(max(typical, 0.5), 20.0)
+        shaft = float(np.median(np.interp(motion[0][speeds >= typical], recording.t, n)))
     fixed = not np.nan_to_num(recording.cmd[:, 2:]).any()
     return Particulars(
         name=recording.name, length=3.0, beam=1.2, draft=0.3, mass=300.0,

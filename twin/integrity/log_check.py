@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,29 +46,29 @@ from twin.integrity.rows import (
     SENSORS,
     check_cells,
     check_commands,
-    check_leaps,
     check_silence,
     check_time,
+    without_leaps,
     without_marks,
 )
 from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
 from twin.integrity.state import SENSORS as CHECKED
-from twin.integrity.transforms import Measured, Undone, explain, measured, unseen_faults
-from twin.logs.checks import in_degrees, is_gap
+from twin.integrity.transforms import Trial, explain, measured, unseen
+from twin.logs.checks import in_degrees
 from twin.logs.errors import LogError
-from twin.logs.jumps import find_jumps
+from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
-from twin.logs.signals import ENOUGH, runs_of
+from twin.logs.signals import runs_of
 from twin.particulars import GRAVITY, Instruments, Particulars
 
 __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
 
 Array = npt.NDArray[np.float64]
 
-SHORT_S, DOUBT_S, DOUBT_SHARE = 1.0, 8.0, 0.1
+SHORT_S, DOUBT_S = 1.0, 8.0
 """A sensor that the checks leave out or doubt for less than the first is not worth a word; for
-less than the second at once, and this share of the log in all, a note."""
+less than the second at once, and few rows in all, a note."""
 
 OF_COMMANDS = {"commands", "left", "right", "shafts", "steering"}
 """Sensors of findings about commands."""
@@ -206,30 +206,32 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
     base = Instruments() if particulars is None else particulars.instruments
     if len(recording.t) < MANY:
         return LogCheck(_sorted(found), sensor_figures(recording), {}, base, {}, recording)
-    found += check_silence(recording) + check_leaps(recording)
-    kept = _without_gross(recording, found)
+    kept, leaps = without_leaps(recording)
+    found += check_silence(recording) + leaps
+    kept = _without_gross(kept, found)
     figures = sensor_figures(kept)
     fix = kept.z[np.isfinite(kept.z[:, :2]).all(axis=1), :2]
     if why := in_degrees(fix):
         what = f"{kept.called(*FIX)}: {why}"
         remedy = "give latitude and longitude in [position] of a mapping file"
         found.append(Finding(ERROR, "unit", what, remedy, "fixes"))
-        kept = _without(kept, FIX)
+        kept = kept.without(FIX)
     if any(finding.code == "time-unit" for finding in found):
         kept = dataclasses.replace(kept, t=1e-3 * kept.t)
     found += check_commands(kept, particulars)
-    signals, undone = signals_of(kept, base), list[Undone]()
-    numbers: dict[str, Measured | None] = {}
+    signals, undone = signals_of(kept, base), list[Trial]()
+    numbers: dict[str, Trial | None] = {}
     evidence: Evidence = {}
     if signals is not None:
         faults, signals, undone = explain(signals)
         found += faults
         evidence = log_likelihood(signals)
-        found += _unknown(signals, evidence, found)
+        known = {finding.sensor for finding in found}
+        found += [each for each in unseen(signals, evidence) if each.sensor not in known]
         if signals.has(*FORCES[:2]):
-            late = measured(signals, "late", "gps")
-            numbers["gps_latency"] = late and Measured(late.value + signals.latency, late.sd)
-        numbers["gyro_bias_sd"] = measured(signals, "bias", "gyro")
+            late = measured(signals, evidence, "late", "gps")
+            numbers["gps_latency"] = late and late._replace(size=late.size + signals.latency)
+        numbers["gyro_bias_sd"] = measured(signals, evidence, "bias", "gyro")
     instruments, reasons = estimate_instruments(kept, figures, numbers, particulars)
     found += _doubted(kept, found, undone, instruments, particulars)
     agreed = {name: max(1.0 - one.rho, 0.0) for name, one in evidence.items() if one is not None}
@@ -241,47 +243,22 @@ def _sorted(found: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(dict.fromkeys(found), key=lambda each: SEVERITIES.index(each.severity)))
 
 
-def _without(
-    recording: Recording, names: Iterable[str], inside: slice | npt.NDArray[Any] = slice(None)
-) -> Recording:
-    """Return a recording without some columns, in all rows or some."""
-    z = recording.z.copy()
-    for name in {*names}.intersection(MEASUREMENTS):
-        z[inside, MEASUREMENTS.index(name)] = np.nan
-    return dataclasses.replace(recording, z=z)
-
-
 def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
-    """Return a recording without fixes out of reach, dead and frozen columns."""
-    jumps = find_jumps(recording.t, recording.z[:, :2])
-    if jumps is not None:
-        recording = _without(recording, FIX, jumps.lost)
+    """Return a recording without dead and frozen columns."""
     for finding in found:
         names = SENSORS.get(finding.sensor, (finding.sensor,))
         if finding.code == "frozen":
             inside = (recording.t > finding.start) & (recording.t <= finding.end)
-            recording = _without(recording, names, inside)
+            recording = recording.without(names, inside)
         elif finding.code == "dead":
-            recording = _without(recording, names)
+            recording = recording.without(names)
     return recording
-
-
-def _unknown(signals: Signals, evidence: Evidence, found: list[Finding]) -> list[Finding]:
-    """Return a note on faults that the log would not show."""
-    known = {finding.sensor for finding in found}
-    remedy = "record turns to both sides, legs in several directions and changes of thrust"
-    said = "this log does not tell whether"
-    return [
-        Finding(NOTE, "unchecked", f"{sensor}: {said} {' or '.join(faults)}", remedy, sensor)
-        for sensor, faults in unseen_faults(signals, evidence).items()
-        if sensor not in known
-    ]
 
 
 def _doubted(
     recording: Recording,
     known: list[Finding],
-    undone: list[Undone],
+    undone: list[Trial],
     instruments: Instruments,
     particulars: Particulars | None,
 ) -> list[Finding]:
@@ -295,13 +272,7 @@ def _doubted(
         finding.sensor for finding in known if finding.severity != NOTE
     )
     t, found = rows.t, []
-    # after a gap they begin anew
-    begins = np.flatnonzero(is_gap(t) & (np.diff(t) > SHORT_S)) + 1
-    if len(begins) > len(t) / ENOUGH:
-        return []
-    parts = np.split(np.arange(len(t)), begins)
-    ran = [run_over(boat, t[part], rows.z[part], rows.cmd[part]) for part in parts]
-    statuses, reasons = (np.concatenate(each) for each in zip(*ran, strict=True))
+    statuses, reasons = run_over(boat, t, rows.z, rows.cmd)
     for j, sensor in enumerate(CHECKED if with_commands else CHECKED[:-1]):
         out = (statuses[:, j] == EXCLUDED) | (statuses[:, j] == DOUBTFUL)
         runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > SHORT_S]
@@ -314,7 +285,7 @@ def _doubted(
         if len(runs) > 1:
             what += f", {total:.0f} s in {len(runs)} stretches"
         code = {IMPOSSIBLE: "mark", FROZEN: "frozen"}.get(why, "contradiction")
-        brief = t[k] - t[i] < DOUBT_S and total < DOUBT_SHARE * (t[-1] - t[0])
+        brief = t[k] - t[i] < DOUBT_S and total < FEW * (t[-1] - t[0])
         # of commands, the whole log tells more than a stretch
         severity = NOTE if brief or sensor == "commands" else WARNING
         remedy = "the twin leaves it out there; mend it or empty these cells"
@@ -323,7 +294,7 @@ def _doubted(
     return found
 
 
-def _mended(recording: Recording, undone: list[Undone]) -> Recording:
+def _mended(recording: Recording, undone: list[Trial]) -> Recording:
     """Return new samples without the faults that were found, as of a boat that stands upright."""
     columns = dict(zip(MEASUREMENTS, recording.z.T.copy(), strict=True))
     columns |= zip(COMMANDS, np.nan_to_num(recording.cmd).T, strict=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -22,9 +21,9 @@ from twin.logs.clock import (
     wild_stamps,
 )
 from twin.logs.columns import SHARE, UNITS
-from twin.logs.jumps import find_jumps
+from twin.logs.jumps import FAST_MPS, FEW, find_jumps
 from twin.logs.recording import Recording, repeated
-from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, runs_of, ways
+from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
 from twin.particulars import Particulars
 
 __all__ = [
@@ -35,15 +34,16 @@ __all__ = [
     "HUGE",
     "MANY",
     "SENSORS",
+    "STAMPS_S",
     "VELOCITY",
     "check_cells",
     "check_commands",
-    "check_leaps",
     "check_silence",
     "check_time",
     "fix_scatter",
     "is_dead",
     "speed_of",
+    "without_leaps",
     "without_marks",
 ]
 
@@ -84,15 +84,12 @@ JITTER = 0.05
 STAMPS_S = 0.03
 """Stamps of fixes that jitter by more are worth a word."""
 
-SILENT_S, SILENT_SAMPLES, STALE_S = 2.0, 10.0, 0.5
-"""A sensor is lost when it gives nothing new for so long, and for so many of its intervals; all of
+SILENT_S, STALE_S = 2.0, 0.5
+"""A sensor is lost when it gives nothing new for longer, and for so many of its intervals; all of
 them never repeat themselves at once for longer than the last."""
 
 OUTLIER, LEAP_M, LEAP_RAD = 15.0, 0.1, math.radians(4.0)
 """A leap is so many times the median deviation, and at least so large."""
-
-SINGLE = 0.01
-"""Leaps of more than this share of the samples, and more than three, are no single ones."""
 
 HUGE = 1e100
 """No scatter is larger."""
@@ -101,16 +98,12 @@ SAILS_M = 20.0
 """A boat that goes farther sails."""
 
 ABSURD = 4.0
-"""A sample so many times as large as the others is none, however the boat moved."""
+"""A sample so many times as large as the others is none, however the boat moved, ..."""
 
-ABSURD_SHARE = 0.1
-"""At most so many samples are absurd."""
+FAR, ABSURD_FROM = 400.0, {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
+"""... if it is larger than this, in the unit of its column."""
 
-ABSURD_FROM = {"velocity": 0.0, "gyro": TURN_LIMIT, "accelerometers": ACCEL_LIMIT}
-"""Smaller samples of these sensors are never absurd, m/s, rad/s and m/s2; of a velocity, the fixes
-tell."""
-
-LARGE_ANGLE_RAD = 1.3
+LARGE_ANGLE_RAD = 0.5 * math.pi
 """Few rudders and drives turn farther."""
 
 SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
@@ -141,8 +134,11 @@ def check_time(recording: Recording) -> list[Finding]:
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
-    if (jitter := _uneven(step[~gap])) > JITTER * median:
-        found += _jitter(recording, median, jitter)
+    jitter, whose = _uneven(step[~gap]), _uneven_sensors(recording)
+    if jitter > JITTER * median and whose:
+        what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
+        remedy = "stamp samples when they are taken, not when they are written"
+        found.append(Finding(WARNING, "jitter", what, remedy, "time", jitter))
     along, across, speed = fix_scatter(*recording.samples(*FIX))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
@@ -161,27 +157,21 @@ def _uneven(steps: Array) -> float:
     return 0.0 if same > 0.5 else robust_sd(steps)
 
 
-def _jitter(recording: Recording, median: float, jitter: float) -> list[Finding]:
-    """Return a finding where the stamps of samples jitter, of all sensors or some.
+def _uneven_sensors(recording: Recording) -> str:
+    """Return whose stamps jitter, if any.
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
     """
-    uneven, even = list[str](), list[str]()
+    uneven = dict[str, bool]()
     for sensor, names in SENSORS.items():
         values = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
         given = np.isfinite(values).all(axis=1)
         # rows may hold the last sample until the next one
         times = recording.t[given], recording.t[given & ~repeated(values)]
         steps = [np.diff(t) for t in times if len(t) > ENOUGH]
-        jitters = [_uneven(step) / float(np.median(step)) for step in steps]
-        if jitters:
-            (uneven if min(jitters) > JITTER else even).append(sensor)
-    if not uneven:
-        return []
-    whose = ", ".join(uneven) if even else "the rows"
-    what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
-    remedy = "stamp samples when they are taken, not when they are written"
-    return [Finding(WARNING, "jitter", what, remedy, "time", jitter)]
+        if steps:
+            uneven[sensor] = all(_uneven(each) > JITTER * np.median(each) for each in steps)
+    return "the rows" if all(uneven.values()) else ", ".join(k for k, v in uneven.items() if v)
 
 
 def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
@@ -222,15 +212,14 @@ def _order(stamps: Array, motion: Array | None, clashes: int) -> list[Finding]:
     equal = int((step == 0.0).sum())
     if equal:
         what = f"{equal} of {len(valid)} rows have the time of the row before"
-        if clashes and spread(valid) is not None:
+        remedy = "they do not contradict it, and are merged with it when the log is read"
+        spreads = clashes and spread(valid) is not None
+        if spreads:
             remedy = "they are spread over the time that the clock counts by"
-            say(what, remedy, float(equal), NOTE)
         elif clashes:
             what += f"; {clashes} of them have other values, as times in whole seconds do"
-            say(what, "record fractions of a second, or keep one row of each time", float(equal))
-        else:
-            remedy = "they do not contradict it, and are merged with it when the log is read"
-            say(what, remedy, float(equal), NOTE)
+            remedy = "record fractions of a second, or keep one row of each time"
+        say(what, remedy, float(equal), ERROR if clashes and not spreads else NOTE)
     return found
 
 
@@ -294,22 +283,18 @@ def check_cells(recording: Recording) -> list[Finding]:
 
 def check_silence(recording: Recording) -> list[Finding]:
     """Return findings where a sensor that works gives nothing new for long, or all at once do."""
-    coarse = [name for name in MEASUREMENTS if _repeats(recording, name) > 0.5]
-    moving = tuple(name for name in MEASUREMENTS if name not in coarse)
+    moving = tuple(
+        name
+        for name, values in zip(MEASUREMENTS, recording.z.T, strict=True)
+        if np.mean(np.abs(np.diff(values)) > 0.0) > 0.5
+    )
     found = _silent(recording, "rows", moving, STALE_S, GAP_STEPS) if len(moving) > 1 else []
     for sensor, names in SENSORS.items():
         lost = _silent(recording, sensor, names)
-        if len(names) > 1 and not lost and names not in (FIX, VELOCITY):
-            for name in names:
-                lost += _silent(recording, name, (name,))
+        if not lost and names not in (FIX, VELOCITY):
+            lost = [each for name in names for each in _silent(recording, name, (name,))]
         found += lost
     return found
-
-
-def _repeats(recording: Recording, name: str) -> float:
-    """Return the share of rows in which a column is missing, or what it was."""
-    values = recording.z[:, MEASUREMENTS.index(name)]
-    return 1.0 - float(np.mean(np.abs(np.diff(values)) > 0.0))
 
 
 def _silent(
@@ -317,11 +302,15 @@ def _silent(
     sensor: str,
     names: tuple[str, ...],
     least_s: float = SILENT_S,
-    samples: float = SILENT_SAMPLES,
+    intervals: float = 2.0 * GAP_STEPS,
 ) -> list[Finding]:
-    """Return a finding where columns are missing or the same for so long, and so many samples."""
+    """Return a finding on the longest silence of columns, missing or the same, if it is long.
+
+    One that repeats itself elsewhere too is coarse, of a boat that rests, unless it goes on with
+    its largest step.
+    """
     z = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
-    given = np.flatnonzero(np.isfinite(z).all(axis=1))
+    given = np.isfinite(z).all(axis=1)
     t, values = recording.t[given], z[given]
     if len(t) < ENOUGH or is_dead(values[:, 0]):
         return []
@@ -329,171 +318,113 @@ def _silent(
     new = np.append(0, np.flatnonzero(size > 0.0) + 1)
     edges = np.concatenate(([recording.t[0]], t[new], [recording.t[-1]]))
     # gaps that the clock skipped are reported for the clock
-    step = np.diff(recording.t)
-    skipped = np.append(0.0, np.cumsum(np.where(is_gap(recording.t), step, 0.0)))
-    silence = np.diff(edges) - np.diff(np.interp(edges, recording.t, skipped))
-    bound = max(samples * float(np.median(np.diff(edges))), least_s)
-    spans, still = [], False
-    for k in np.flatnonzero(silence > bound):
-        inside = (t > edges[k]) & (t < edges[k + 1])
-        rows = (recording.t > edges[k]) & (recording.t < edges[k + 1])
-        same = bool(inside.sum() > 0.5 * rows.sum())
-        after = size[new[k] - 1] if 0 < k < len(new) else 0.0
-        others = size[~inside[1:]]
-        # one that is coarse, of a boat that rests, goes on with no larger step than others
-        fault = (others > 0.0).all() or after > others.max(initial=0.0)
-        if (sensor == "rows" and same) or (sensor != "rows" and (fault or not same)):
-            spans.append(k)
-            still |= same
-    if not spans:
+    step = np.where(is_gap(recording.t), 0.0, np.diff(recording.t))
+    silence = np.diff(np.interp(edges, recording.t, np.append(0.0, np.cumsum(step))))
+    bound = max(intervals * float(np.median(np.diff(edges))), least_s)
+    # share of rows in each silence that hold a value: the same one
+    rows = np.searchsorted(recording.t, edges)
+    held = np.append(0, np.cumsum(given))[rows]
+    still = np.diff(held) - 1 > 0.5 * (np.diff(rows) - 1)
+    after = np.concatenate(([0.0], size[new[1:] - 1], [0.0]))
+    wrong = still
+    if sensor != "rows":
+        repeats = np.diff(np.concatenate((new[:1], new, [len(t)]))) - 1
+        wrong = ~still | (repeats == (size == 0.0).sum()) | (after > np.partition(size, -2)[-2])
+    long = np.flatnonzero((silence > bound) & wrong)
+    if not len(long):
         return []
-    k = max(spans, key=lambda each: silence[each])
+    k = long[np.argmax(silence[long])]
     what = (
-        f"{recording.called(*names)}: {'the same values' if still else 'no sample'} for up to "
-        f"{silence[k]:.1f} s (from t = {edges[k]:.1f} s), {len(spans)} time(s) longer than "
-        f"{bound:.1f} s"
+        f"{'all sensors at once' if sensor == 'rows' else recording.called(*names)}: "
+        f"{'the same values' if still[k] else 'no sample'} for up to {silence[k]:.1f} s (from t = "
+        f"{edges[k]:.1f} s), {len(long)} time(s) longer than {bound:.1f} s"
     )
     remedy = "the twin bridges it and grows unsure; expect wider intervals there"
     if sensor == "rows":
-        what = what.replace(recording.called(*names), "all sensors at once")
         remedy = "the logger wrote old samples with new times: log each once, with its own time"
-    elif still:
+    elif still[k]:
         remedy = "the sensor had stopped: empty these cells"
     span = {"start": float(edges[k]), "end": float(edges[k + 1])}
-    code = "frozen" if still else "lost"
+    code = "frozen" if still[k] else "lost"
     return [Finding(WARNING, code, what, remedy, sensor, float(silence[k]), **span)]
 
 
-def check_leaps(recording: Recording) -> list[Finding]:
-    """Return findings about fixes that no boat reaches, and leaps of fixes and heading."""
-    t, fix = recording.samples(*FIX)
-    found, names = [], recording.called(*FIX)
-    jumps = find_jumps(t, fix) if len(t) >= ENOUGH else None
+def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Return a recording without fixes that no boat reaches, and findings about leaps."""
+    found, jumps = list[Finding](), find_jumps(recording.t, recording.z[:, :2])
     if jumps is not None:
-        lost = len(jumps.lost)
+        t, lost = recording.t, len(jumps.lost)
         what = (
-            f"{names}: {lost} of {len(t)} fixes cannot be reached from the others (a jump of "
-            f"{jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)"
+            f"{recording.called(*FIX)}: {lost} of {jumps.fixes} fixes cannot be reached from the "
+            f"others (a jump of {jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)"
         )
         remedy = "single ones are left out when the log is read; else empty these cells"
-        severity = WARNING if lost < 0.1 * len(t) else ERROR
+        severity = WARNING if lost < FEW * jumps.fixes else ERROR
         span = {"start": float(t[jumps.lost[0]]), "end": float(t[jumps.lost[-1]])}
         found.append(Finding(severity, "jump", what, remedy, "fix", jumps.length, **span))
-        t, fix = np.delete(t, jumps.lost), np.delete(fix, jumps.lost, axis=0)
-    at, compass = recording.samples("compass_rad")
-    for sensor, times, values, least, unit in (
-        ("fix", t, fix, LEAP_M, "m"),
-        ("compass", at, np.unwrap(compass, axis=0), LEAP_RAD, "rad"),
-    ):
-        leap = _leap(times, values, least)
-        if leap is not None:
-            row, size, count = leap
-            what = (
-                f"{recording.called(*SENSORS[sensor])}: leaps by up to {size:.2g} {unit} from one "
-                f"sample to the next (at t = {times[row]:.1f} s), {count} time(s)"
-            )
-            remedy = "the receiver or filter was corrected: expect errors of this size"
-            span = {"start": float(times[row]), "end": float(times[row])}
-            found.append(Finding(WARNING, "jump", what, remedy, sensor, size, **span))
-    return found
-
-
-def _leap(t: Array, values: Array, least: float) -> tuple[int, float, int] | None:
-    """Return after which sample values leap most, by how much, and how often, if they do."""
-    if len(t) < MANY:
-        return None
-    step, width = np.diff(values, axis=0), np.diff(t)
-    speed = step / width[:, None]
-    # the part of the step that those around it do not explain
-    near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
-    left = np.sqrt(((step[2:-2] - width[2:-2, None] * near) ** 2).sum(axis=1))
-    even = width[2:-2] < 0.5 * GAP_STEPS * float(np.median(width))
-    wild = np.flatnonzero((left > max(least, OUTLIER * float(np.median(left)))) & even)
-    if not 0 < len(wild) <= max(3, SINGLE * len(t)):
-        return None
-    most = int(wild[np.argmax(left[wild])])
-    return most + 3, float(left[most]), len(wild)
+        recording = recording.without(FIX, jumps.lost)
+    for sensor, least, unit in (("fix", LEAP_M, "m"), ("compass", LEAP_RAD, "rad")):
+        t, values = recording.samples(*SENSORS[sensor])
+        if len(t) < MANY:
+            continue
+        if sensor == "compass":
+            values = np.unwrap(values, axis=0)
+        step, width = np.diff(values, axis=0), np.diff(t)
+        speed = step / width[:, None]
+        # the part of the step that those around it do not explain
+        near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
+        left = np.sqrt(((step[2:-2] - width[2:-2, None] * near) ** 2).sum(axis=1))
+        left[width[2:-2] > 0.5 * GAP_STEPS * np.median(width)] = 0.0
+        wild = np.flatnonzero(left > max(least, OUTLIER * float(np.median(left))))
+        if not 0 < MANY * len(wild) <= len(t):  # else the values are coarse
+            continue
+        most = int(np.argmax(left))
+        at, size = float(t[most + 3]), float(left[most])
+        what = (
+            f"{recording.called(*SENSORS[sensor])}: leaps by up to {size:.2g} {unit} from one "
+            f"sample to the next (at t = {at:.1f} s), {len(wild)} time(s)"
+        )
+        remedy = "the receiver or filter was corrected: expect errors of this size"
+        found.append(Finding(WARNING, "jump", what, remedy, sensor, size, start=at, end=at))
+    return recording, found
 
 
 def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
-    """Return a recording without numbers that stand for "no value", and a finding about each.
+    """Return a recording without samples that are absurdly far from the others, and findings.
 
-    Such a number comes again and again to the last bit, far from all others.
+    Such are glitches, and numbers that stand for "no value". These may come often: so each distinct
+    value counts once. Fixes have a rule of their own (:func:`without_leaps`).
     """
-    z, found = recording.z.copy(), []
-    groups = [((name,), recording.z[:, j]) for j, name in enumerate(MEASUREMENTS)]
-    # made of speed and course, a mark is in both
-    for names, values in [*groups, (VELOCITY, np.hypot(*recording.z[:, 2:4].T).round(9))]:
-        seen, count = np.unique(values[np.isfinite(values)], return_counts=True)
-        for value in _far_and_often(seen, count):
-            rows = values == value
-            long = rows.sum() > SILENT_SAMPLES * np.median(count)
-            if not (long or len(runs_of(rows)) > 2):
-                continue
-            for name in names:
-                z[rows, MEASUREMENTS.index(name)] = np.nan
-            what = (
-                f"{recording.called(*names)}: {rows.sum()} of {np.isfinite(values).sum()} values "
-                f'are {value:g}, far from all others: a mark for "no value"'
-            )
-            remedy = "leave these cells empty; here they are left out, and the rest is checked"
-            severity = WARNING if OPTIONAL.issuperset(names) else ERROR
-            found.append(Finding(severity, "mark", what, remedy, names[0], float(value)))
-    return _without_absurd(dataclasses.replace(recording, z=z), found)
-
-
-def _far_and_often(seen: Array, count: npt.NDArray[np.intp]) -> list[float]:
-    """Return which of some sorted values come more than twice, and lie far from all others."""
-    found = []
-    for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):
-        for k in order:
-            if count[k] <= 2:
-                continue
-            others = np.cumsum(np.where(seen == seen[k], 0, count))
-            low, high = seen[np.searchsorted(others, others[-1] * np.array([0.01, 0.99]))]
-            if others[-1] < ENOUGH or max(low - seen[k], seen[k] - high) < high - low:
-                break  # nor are those farther in
-            found.append(float(seen[k]))
-    return list(dict.fromkeys(found))
-
-
-def _without_absurd(recording: Recording, found: list[Finding]) -> tuple[Recording, list[Finding]]:
-    """Return a recording without single samples that are absurdly large, and findings on them.
-
-    A velocity is compared with that of the fixes, too, for a boat may rest for nearly all of a log.
-    """
-    z, motion = recording.z.copy(), speed_of(recording)
-    by_fixes = np.zeros(len(z))
-    if motion is not None:
-        by_fixes = np.interp(recording.t, motion[0], np.hypot(*motion[1].T))
-    for sensor, least in ABSURD_FROM.items():
-        columns = [MEASUREMENTS.index(name) for name in SENSORS[sensor]]
-        size = np.sqrt((z[:, columns] ** 2).sum(axis=1))
-        count = int(np.isfinite(size).sum())
-        if count < MANY:
+    found = list[Finding]()
+    others = ((name,) for name in MEASUREMENTS if name not in (*FIX, *VELOCITY))
+    for names in (VELOCITY, *others):
+        columns = [MEASUREMENTS.index(name) for name in names]
+        # made of speed and course, a mark is in both
+        values = recording.z[:, columns].T
+        values = np.hypot(*values) if names == VELOCITY else values[0]
+        middle = np.median(np.unique(values[np.isfinite(values)]))
+        size = np.abs(values - (0.0 if names == VELOCITY else middle))
+        distinct = np.unique(size[np.isfinite(size)].round(9))
+        if len(distinct) < ENOUGH:
             continue
-        # without fixes a boat may rest but for a moment
-        few = ABSURD_SHARE if sensor != "velocity" or motion is not None else SINGLE
-        usual = float(np.sort(size)[count - 1 - max(3, int(few * count))])
-        limit = np.full(len(z), max(ABSURD * usual, least))
-        if sensor == "velocity":
-            limit = np.maximum(limit, ABSURD * by_fixes)
-        rows = np.flatnonzero(size > limit)
+        usual, unit = float(np.quantile(distinct, 1.0 - FEW)), names[0].rpartition("_")[2]
+        rows = np.flatnonzero(size > max(ABSURD * usual, ABSURD_FROM.get(unit, FAR)))
         if not len(rows):
             continue
-        z[rows[:, None], columns] = np.nan
-        unit = SENSORS[sensor][0].rpartition("_")[2].replace("ps", "/s")
-        most = rows[np.argmax(size[rows])]
-        knots = f" ({size[most] / UNITS['mps']['kn']:.5g} kn)" if sensor == "velocity" else ""
+        recording = recording.without(names, rows)
+        count, row = int(np.isfinite(values).sum()), rows[np.argmax(size[rows])]
+        knots = f" ({values[row] / UNITS['mps']['kn']:.5g} kn)" if unit == "mps" else ""
         what = (
-            f"{recording.called(*SENSORS[sensor])}: {len(rows)} of {count} samples are absurd, up "
-            f"to {size[most]:.4g} {unit}{knots} (at t = {recording.t[most]:.1f} s) where the "
-            f"others reach {usual:.2g} {unit}"
+            f"{recording.called(*names)}: {len(rows)} of {count} samples are absurd, up to "
+            f"{values[row]:.5g}{knots} at t = {recording.t[row]:.1f} s: glitches, or marks for "
+            '"no value"'
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"
+        severity = WARNING if len(rows) < FEW * count or OPTIONAL.issuperset(names) else ERROR
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
-        found.append(Finding(WARNING, "mark", what, remedy, sensor, float(size[most]), **span))
-    return (dataclasses.replace(recording, z=z), found) if found else (recording, [])
+        sensor = "velocity" if names == VELOCITY else names[0]
+        found.append(Finding(severity, "mark", what, remedy, sensor, float(values[row]), **span))
+    return recording, found
 
 
 def check_commands(recording: Recording, particulars: Particulars | None) -> list[Finding]:
@@ -510,23 +441,20 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
     if motion is not None and len(motion[0]) > 1:
         at, speed = motion[0], np.hypot(*motion[1].T)
         way = float(speed.sum() * np.median(np.diff(at)))
-        for used, sensor, which in (
-            (n, "commands", name),
-            (n[:, 0], "left", COMMANDS[0]),
-            (n[:, 1], "right", COMMANDS[1]),
-        ):
-            if way > SAILS_M and not used.any() and (used is n or n.any()):
-                what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
-                remedy = "record them all; a boat with one shaft only has one column, n_rps"
-                code, severity = ("sides", WARNING) if n.any() else ("missing", ERROR)
-                found.append(Finding(severity, code, what, remedy, sensor))
+        used = {"left": n[:, 0].any(), "right": n[:, 1].any()}
+        still = [side for side, moves in used.items() if not moves]
+        if way > SAILS_M and still:
+            sensor, severity = ("commands", ERROR) if len(still) > 1 else (still[0], WARNING)
+            code, which = ("missing", name) if len(still) > 1 else ("sides", f"n_{still[0]}_rps")
+            what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
+            remedy = "record them all; a boat with one shaft only has one column, n_rps"
+            found.append(Finding(severity, code, what, remedy, sensor))
         if particulars is not None and SHARE not in name and n.any():
             found += _shaft_unit(recording, name, n, at, speed, particulars)
     if particulars is not None:
-        unequal = (n[:, 0] != n[:, 1]).mean() > 0.5
-        fixed = particulars.steering == "differential"
-        moved = bool(np.ptp(delta, axis=0).any())
-        if (fixed and moved) or (not fixed and not delta.any() and unequal):
+        fixed, moved = particulars.steering == "differential", bool(np.ptp(delta, axis=0).any())
+        unequal = not delta.any() and (n[:, 0] != n[:, 1]).mean() > 0.5
+        if moved if fixed else unequal:
             other = "drives" if fixed else "differential"
             what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"
             mix = "[skid_steering] of throttle and steering" if fixed else "other columns"
@@ -558,17 +486,17 @@ def _shaft_unit(
         times = particulars.speed / particulars.shaft_speed / advance
     if 1.0 / SHAFT_FAR < times < SHAFT_FAR:
         return []
-    units = {
-        "rpm": (60.0, 'unit = "rpm" in the mapping'),
-        "rad/s": (2.0 * math.pi, 'unit = "radps" in the mapping'),
-        "another unit": (times, "state it in the mapping: scale = ... for shares and per cent"),
-    }
-    unit = next(u for u, (f, _) in units.items() if abs(math.log(times / f)) < math.log(SHAFT_NEAR))
+    remedy, severity = "state it in the mapping: scale = ... for shares and per cent", WARNING
+    unit = "another unit"
+    for known, factor, how in (
+        ("rpm", 60.0, 'unit = "rpm" in the mapping'),
+        ("rad/s", 2.0 * math.pi, 'unit = "radps" in the mapping'),
+    ):
+        if 1.0 / SHAFT_NEAR < times / factor < SHAFT_NEAR:
+            unit, remedy, severity = known, how, ERROR
     if n.min() > 0.5 * n.max() > SHAFT_FAR * particulars.shaft_speed:
-        unit, remedy = "pulse widths", "make neutral 0: scale = 0.02, offset = -30.0 for 1500 us"
-    else:
-        remedy = units[unit][1]
+        unit, severity = "pulse widths", ERROR
+        remedy = "make neutral 0: scale = 0.02, offset = -30.0 for 1500 us"
     what = f"{name}: up to {typical:.4g}, {times:.3g} times too large: {unit}"
     remedy += ", or correct speed and shaft_speed in the particulars"
-    severity = WARNING if unit == "another unit" else ERROR
     return [Finding(severity, "unit", what, remedy, "shafts", times)]

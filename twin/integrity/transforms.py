@@ -17,23 +17,25 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from twin.channels import COMMANDS
 from twin.integrity.evidence import (
     BY_COMMANDS,
     FLOOR,
+    GYRO_ZERO_RADPS,
     RAW_HEADING,
     Evidence,
     Signals,
     gain,
     log_likelihood,
 )
-from twin.integrity.findings import ERROR, WARNING, Finding
+from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, VELOCITY
 from twin.logs.columns import UNITS
 from twin.particulars import GRAVITY
 
-__all__ = ["Hypothesis", "Measured", "Undone", "explain", "measured", "unseen_faults"]
+__all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen"]
 
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
@@ -41,17 +43,18 @@ Undo = Callable[[Signals, float], Signals]
 ENOUGH_GAIN = 15.0
 """Log-likelihood, beyond what a fault costs, from which on it is one."""
 
-NUMBER_COST = 5.0
-"""Of a number that is fitted."""
+COST = 5.0
+"""Of each number that is fitted, and each further mistake that a fault is made of; a rival that
+explains a log so nearly as well is named beside the best."""
 
-MORE_COST = 2.0
-"""Of each further mistake that a fault is made of, and of each sample that one explains alone; a
-rival that explains a log so nearly as well is named beside the best."""
+RARE_COST = 25.0
+"""Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
+velocity that keeps its size only."""
 
-ONE_SIDE_COST = 25.0
-"""Of a fault of one side: thrusts of both are seldom even."""
+POINTS = 13
+"""Of a parameter, so many values are tried first."""
 
-LIKELY = 0.6
+LIKELY = 0.5
 """What is left must shrink to this share in one comparison."""
 
 COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
@@ -66,13 +69,13 @@ class Scan(NamedTuple):
     values: Sequence[float]
 
 
+def _between(low: float, high: float, least: float) -> Scan:
+    return Scan(0.0, least, np.linspace(low, high, POINTS).tolist())
+
+
 def _angles(least_degrees: float) -> Scan:
-    least, most = math.radians(least_degrees), 0.95 * math.pi
-    return Scan(0.0, least, np.linspace(-most, most, 13).tolist())
-
-
-def _scales(least: float) -> Scan:
-    return Scan(1.0, least, np.geomspace(0.1, 10.0, 11).tolist())
+    most = 0.95 * math.pi  # beyond it lies the other sign
+    return _between(-most, most, math.radians(least_degrees))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +91,7 @@ class Hypothesis:
     scan: Scan | None = None
     error: bool | None = None  # whether a log cannot be used so; None: where it has no number
     cost: float = 0.0  # beyond that of any fault
-    alone: bool = False  # whether it explains each sample by itself
+    guess: bool = False  # whether what undoes it takes from other columns
 
     @property
     def severity(self) -> str:
@@ -162,16 +165,14 @@ def _of_way(s: Signals, _: float) -> Signals:
 def _units(sensor: str, *names: str) -> Iterator[Hypothesis]:
     """Return columns in another unit: of a mapping file, or hundreds or thousands."""
     own, given = names[0].rpartition("_")[2], ", ".join(names)
-    factors = {f"1e-{power} {own}": (10.0**-power, f"scale = 1e-{power}") for power in (2, 3)}
-    for unit, factor in UNITS[own].items():
-        factors[unit] = (factor, f'unit = "{unit}"')
-        if names == VELOCITY:
-            factors[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out")
-    for unit, (factor, remedy) in factors.items():
-        if factor != 1.0:
-            what, undo = f"{given}: in {unit}", _map(names, factor * np.eye(len(names)))
-            remedy, cost = f"{remedy} in the mapping", MORE_COST * (len(names) > 2)
-            yield Hypothesis("unit", sensor, what, remedy, names, undo, cost=cost)
+    for unit, factor in (UNITS[own] | {f"1e-2 {own}": 1e-2, f"1e-3 {own}": 1e-3}).items():
+        remedy = f'unit = "{unit}"' if unit in UNITS[own] else f"scale = {factor}"
+        ways = {f"in {unit}": (factor, f"{remedy} in the mapping")}
+        if names == VELOCITY and unit in UNITS[own]:
+            ways[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out of the mapping")
+        for what, (scale, how) in ways.items() if factor != 1.0 else ():
+            undo = _map(names, scale * np.eye(len(names)))
+            yield Hypothesis("unit", sensor, f"{given}: {what}", how, names, undo)
 
 
 def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
@@ -200,7 +201,7 @@ def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
         mistakes = len(vectors) + bool(swapped) + max(len(wrong), 1) - 2
         yield Hypothesis(
             "axes" if swapped else "sign", sensor, said, remedy, names, _map(names, matrix),
-            cost=MORE_COST * mistakes,
+            cost=COST * mistakes,
         )  # fmt: skip
 
 
@@ -210,20 +211,13 @@ def _opposite(
     """Return columns that all have the wrong sign; the first counts from an angle."""
     plus = [angle, *[0.0] * (len(names) - 1)]
     remedy = 'scale = -1.0 there in the mapping, or frame = "enu" for all that runs from east'
-    undo, cost = _map(names, -np.eye(len(names)), plus), MORE_COST * (len(names) - 1)
+    undo, cost = _map(names, -np.eye(len(names)), plus), COST * (len(names) - 1)
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
 
-def _of_side(code: str, side: str, what: str, factors: list[float]) -> Hypothesis:
-    """Return a fault of one shaft."""
-    remedy = "check this thruster, or its column in the mapping"
-    undo, error = _map(SHAFTS, np.diag(factors)), code == "sign"
-    return Hypothesis(code, side, what, remedy, SHAFTS, undo, None, error, ONE_SIDE_COST)
-
-
-QUARTER, ASKEW, SCALES = 0.5 * math.pi, _angles(10.0), _scales(0.09)
-ZERO = Scan(0.0, 0.01, np.linspace(-0.3, 0.3, 13).tolist())
-DELAY = Scan(0.0, 0.2, np.linspace(0.0, 3.0, 11).tolist())
+QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+SCALES = Scan(1.0, 0.09, np.geomspace(0.1, 10.0, POINTS).tolist())
+ZERO, DELAY = _between(-0.3, 0.3, GYRO_ZERO_RADPS), _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 STATED = "in [instruments] of the particulars"
 FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"
@@ -231,48 +225,39 @@ FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there i
 TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "compass", "the heading is in degrees, not radians",
                'unit = "deg" for it in the mapping', COMPASS, _in_radians),
-    _opposite("sign", "compass", "the heading runs counter-clockwise", COMPASS),
-    _opposite("axes", "compass", "the heading runs counter-clockwise from east", COMPASS, QUARTER),
-    _opposite("axes", "compass", "the heading runs counter-clockwise from west", COMPASS, -QUARTER),
-    _opposite("sign", "compass", "heading and yaw rate run counter-clockwise",
-              (*COMPASS, GYROS[2])),
-    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from east",
-              (*COMPASS, GYROS[2]), QUARTER),
-    _opposite("axes", "compass", "heading and yaw rate run counter-clockwise from west",
-              (*COMPASS, GYROS[2]), -QUARTER),
+    *(_opposite("axes" if where else "sign", "compass", f"{what} counter-clockwise{where}", names,
+                angle)
+      for what, names in (("the heading runs", COMPASS),
+                          ("heading and yaw rate run", (*COMPASS, GYROS[2])))
+      for where, angle in (("", 0.0), (" from east", QUARTER), (" from west", -QUARTER))),
     Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
                "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
               f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
-    Hypothesis("late", "compass", "the heading comes {size} s late", STAMPS, COMPASS,
-              _late(*COMPASS), DELAY),
-    *_mirrored("fixes", FIX),
-    *_mirrored("velocity", VELOCITY),
-    *_mirrored("gps", FIX, VELOCITY),
-    *_units("fixes", *FIX),
-    *_units("velocity", *VELOCITY),
+    *(each for vectors, sensor in (
+        ((FIX,), "fixes"), ((VELOCITY,), "velocity"), ((FIX, VELOCITY), "gps"), ((GYROS,), "gyro"),
+        ((GYROS[2:],), "gyro"), ((FORCES,), "accelerometers"), ((FORCES[:2],), "accelerometers"),
+        ((ANGLES,), "ahrs"),
+    ) for each in _mirrored(sensor, *vectors)),
+    *(each for names, sensor in (
+        (FIX, "fixes"), (VELOCITY, "velocity"), (ANGLES, "ahrs"), (HEIGHT, "height"),
+        (CLIMB, "climb"), *((part, "gyro") for part in (GYROS, GYROS[:2], *zip(GYROS))),
+        *((part, "accelerometers") for part in (FORCES, FORCES[:2], *zip(FORCES))),
+    ) for each in _units(sensor, *names)),
+    *(Hypothesis("late", sensor, f"{sensor}: {{size}} s late", STAMPS, names,
+                 _late(*names), DELAY) for sensor, names in (
+        ("compass", COMPASS), ("fixes", FIX), ("velocity", VELOCITY), ("gyro", GYROS[2:]))),
+    Hypothesis("late", "gps", "the GPS comes {size} s late", f"gps_latency = {{value}} {STATED}",
+               (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY),
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
-               _of_way, alone=True),
+               _of_way, cost=RARE_COST, guess=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
               SCALES, error=True),
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
               _turned(VELOCITY), ASKEW),
-    Hypothesis("late", "gps", "the GPS comes {size} s late",
-              f"gps_latency = {{value}} {STATED}", (*FIX, *VELOCITY),
-              _late(*FIX, *VELOCITY), DELAY),
-    Hypothesis("late", "fixes", "the fixes come {size} s late", STAMPS, FIX, _late(*FIX), DELAY),
-    Hypothesis("late", "velocity", "the velocity comes {size} s late", STAMPS, VELOCITY,
-              _late(*VELOCITY), DELAY),
-    *_mirrored("gyro", GYROS),
-    *_mirrored("gyro", GYROS[2:]),
-    *_mirrored("accelerometers", FORCES),
-    *_mirrored("accelerometers", FORCES[:2]),
-    *(unit for names in (GYROS, GYROS[:2], *zip(GYROS)) for unit in _units("gyro", *names)),
-    *(unit for names in (FORCES, FORCES[:2], *zip(FORCES))
-      for unit in _units("accelerometers", *names)),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                "offset = -9.81 there in the mapping: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
@@ -291,17 +276,11 @@ TABLE: tuple[Hypothesis, ...] = (
                 _scaled(name), SCALES) for name in GYROS),
     Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
               f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
-    Hypothesis("late", "gyro", "the yaw rate comes {size} s late", STAMPS, GYROS[2:],
-              _late(GYROS[2]), DELAY),
-    *_mirrored("ahrs", ANGLES),
-    *_units("ahrs", *ANGLES),
     *(_opposite("sign", "ahrs", f"{' and '.join(pair)} with the wrong sign", pair)
       for pair in zip(ANGLES, GYROS[:2], strict=True)),
     _opposite("sign", "height", "gps_z_m is above 0 upwards", HEIGHT),
     _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
     _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
-    *_units("height", *HEIGHT),
-    *_units("climb", *CLIMB),
     Hypothesis("sign", "commands", "the shaft speeds have the wrong sign",
                "scale = -1.0 there in the mapping", SHAFTS, _map(SHAFTS, -np.eye(2))),
     Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, "
@@ -309,10 +288,13 @@ TABLE: tuple[Hypothesis, ...] = (
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
     Hypothesis("sign", "steering", "steering to starboard turns to port",
                "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
-    _of_side("sign", "left", "n_left_rps has the wrong sign", [-1.0, 1.0]),
-    _of_side("sign", "right", "n_right_rps has the wrong sign", [1.0, -1.0]),
-    _of_side("sides", "left", "the left unit hardly turns the boat", [0.0, 1.0]),
-    _of_side("sides", "right", "the right unit hardly turns the boat", [1.0, 0.0]),
+    *(Hypothesis(code, side, what, "check this thruster, or its column in the mapping", SHAFTS,
+                 _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_COST)
+      for code, side, what, factors in (
+        ("sign", "left", "n_left_rps has the wrong sign", (-1.0, 1.0)),
+        ("sign", "right", "n_right_rps has the wrong sign", (1.0, -1.0)),
+        ("sides", "left", "the left unit hardly turns the boat", (0.0, 1.0)),
+        ("sides", "right", "the right unit hardly turns the boat", (1.0, 0.0)))),
 )  # fmt: skip
 """All faults that are looked for."""
 
@@ -324,8 +306,8 @@ def hypotheses(s: Signals) -> list[Hypothesis]:
     return list({each.what: each for each in table if s.has(*each.changed)}.values())
 
 
-class _Trial(NamedTuple):
-    """A hypothesis, and what it explains."""
+class Trial(NamedTuple):
+    """A hypothesis, its number, and what it explains."""
 
     hypothesis: Hypothesis
     size: float
@@ -333,6 +315,13 @@ class _Trial(NamedTuple):
     score: float
     signals: Signals
     evidence: Evidence
+
+    def on_rows(self, s: Signals) -> Signals:
+        """Return rows without the fault, or without columns where it is not known well enough."""
+        each = self.hypothesis
+        if each.guess or each.code in ("late", "bias") or each.sensor == "fixes":
+            return s.having(each.changed, math.nan * s.stacked(*each.changed))
+        return each.undo(s, self.size)
 
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
@@ -345,7 +334,7 @@ def _at_most(base: Evidence, each: Hypothesis) -> float:
     """Return the score of a hypothesis that explains all that it touches."""
     touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
-    return most - each.cost - NUMBER_COST
+    return most - each.cost - COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
@@ -356,41 +345,30 @@ def _explains(before: Evidence, after: Evidence) -> bool:
     )
 
 
-def _try(s: Signals, base: Evidence, each: Hypothesis, harmless: bool = True) -> _Trial:
-    """Return what a hypothesis explains, its number at its best; a harmless one roughly."""
+def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
+    """Return what a hypothesis explains, its number where that is most."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
         after = log_likelihood(changed, each.changed, base)
-        return _total(base, after, each), changed, after
+        return _total(base, after, each) - cost, changed, after
 
     size, sd, cost = math.nan, math.nan, each.cost
     if each.scan is not None:
-        cost += NUMBER_COST
+        cost += COST
         values = np.array(each.scan.values)
         scores = [at(float(value))[0] for value in values]
-        size = float(values[np.argmax(scores)])
-        width = 0.3 * size if each.scan.nominal == 1.0 else float(values[1] - values[0])
-        sd = math.inf
-        for _ in range(5):  # parabolas, ever narrower
-            if harmless and abs(size - each.scan.nominal) + 2.0 * width < each.scan.least:
-                break
-            left, middle, right = (at(size + k * width)[0] for k in (-1.0, 0.0, 1.0))
-            bend = left - 2.0 * middle + right
-            if bend < 0.0:
-                sd = min(sd, width / math.sqrt(-bend))
-                size += min(max(0.5 * (left - right) / bend, -1.0), 1.0) * width
-            elif max(left, right) > middle:
-                size += width if right > left else -width
-            width *= 0.4
-    score, changed, after = at(size)
-    if each.alone:  # as many numbers as there are independent samples
-        used = [one for one in after.values() if one and not one.uses.isdisjoint(each.changed)]
-        cost += MORE_COST * min((one.independent for one in used), default=0.0)
-    return _Trial(each, size, sd, score - cost, changed, after)
+        k = int(np.argmax(scores))
+        low, high = np.pad(values, 1, "reflect", reflect_type="odd")[[k, k + 2]]
+        width, accuracy = 0.1 * (high - low), {"xatol": 0.01 * (high - low)}
+        best = minimize_scalar(lambda x: -at(x)[0], bounds=(low, high), options=accuracy)
+        size = float(best.x if -best.fun > scores[k] else values[k])
+        bend = at(size - width)[0] + at(size + width)[0] - 2.0 * max(-best.fun, scores[k])
+        sd = width / math.sqrt(-bend) if bend < 0.0 else math.inf
+    return Trial(each, size, sd, *at(size))
 
 
-def _counts(trial: _Trial) -> bool:
+def _counts(trial: Trial) -> bool:
     """Return whether a parameter is far from its nominal value: so is its interval, then."""
     scan = trial.hypothesis.scan
     if scan is None:
@@ -399,24 +377,10 @@ def _counts(trial: _Trial) -> bool:
     return inside and abs(trial.size - scan.nominal) > scan.least
 
 
-class Undone(NamedTuple):
-    """A fault that was found."""
-
-    hypothesis: Hypothesis
-    size: float
-
-    def on_rows(self, s: Signals) -> Signals:
-        """Return the rows of a log without it, or without columns where it is not known well."""
-        each = self.hypothesis
-        if each.alone or each.code in ("late", "bias") or each.sensor == "fixes":
-            return s.having(each.changed, math.nan * s.stacked(*each.changed))
-        return each.undo(s, self.size)
-
-
-def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
+def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
     """Return the faults that explain signals best, signals without them, and what undoes them."""
     base = log_likelihood(s)
-    table, found, undone = hypotheses(s), list[Finding](), list[Undone]()
+    table, found, undone = hypotheses(s), list[Finding](), list[Trial]()
     while True:
         trials = [_try(s, base, each) for each in table if each.scan is None]
         most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
@@ -432,22 +396,19 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Undone]]:
             if t.score > ENOUGH_GAIN and _counts(t) and _explains(base, t.evidence)
         ]
         if not likely:
-            break
+            return found, s, undone
         best = max(likely, key=lambda trial: trial.score)
-        near = [t for t in likely if t.score > best.score - MORE_COST and t is not best]
+        near = [t for t in likely if t.score > best.score - COST and t is not best]
         found.append(_finding(best, near, s.latency))
-        undone.append(Undone(best.hypothesis, best.size))
-        s, base = best.signals, best.evidence
-        if best.hypothesis.alone:  # what is not known of them cannot be held against others
-            names = best.hypothesis.changed
-            s = s.having(names, math.nan * s.stacked(*names))
-            base = log_likelihood(s)
+        undone.append(best)
+        # what is guessed cannot be held against others
+        s = best.on_rows(s) if best.hypothesis.guess else best.signals
+        base = log_likelihood(s)
         known = {each.hypothesis.what for each in undone}
         table = [each for each in hypotheses(s) if each.what not in known]
-    return found, s, undone
 
 
-def _finding(trial: _Trial, rivals: list[_Trial], latency: float) -> Finding:
+def _finding(trial: Trial, rivals: list[Trial], latency: float) -> Finding:
     """Return a fault in words; a delay of the GPS with the one that is stated."""
     each, size = trial.hypothesis, trial.size
     if (each.code, each.sensor) == ("late", "gps"):
@@ -462,24 +423,16 @@ def _finding(trial: _Trial, rivals: list[_Trial], latency: float) -> Finding:
     return Finding(each.severity, each.code, what, remedy, each.sensor, size, low, high)
 
 
-class Measured(NamedTuple):
-    """A parameter of a sensor."""
-
-    value: float
-    sd: float
-
-
-def measured(s: Signals, code: str, sensor: str) -> Measured | None:
+def measured(s: Signals, base: Evidence, code: str, sensor: str) -> Trial | None:
     """Return the number of a fault, such as the delay of the GPS, whatever its size."""
     for each in hypotheses(s):
         if each.scan is not None and (each.code, each.sensor) == (code, sensor):
-            trial = _try(s, log_likelihood(s), each, harmless=False)
-            return Measured(trial.size, trial.sd)
+            return _try(s, base, each)
     return None
 
 
-def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
-    """Return faults, by sensor, that would not show in signals that are sound."""
+def unseen(s: Signals, base: Evidence) -> list[Finding]:
+    """Return notes, by sensor, on faults that would not show in signals that are sound."""
     found: dict[str, list[str]] = {}
     for each in hypotheses(s):
         sizes = [math.nan]
@@ -491,4 +444,9 @@ def unseen_faults(s: Signals, base: Evidence) -> dict[str, list[str]]:
         moves = np.nanstd(np.abs(s.stacked(*each.changed)), axis=1).any()
         if moves and max(_total(base, one, each) for one in after) > -ENOUGH_GAIN:
             found.setdefault(each.sensor, []).append(each.words(each.what, max(sizes)))
-    return found
+    remedy = "record turns to both sides, legs in several directions and changes of thrust"
+    said = "this log does not tell whether"
+    return [
+        Finding(NOTE, "unchecked", f"{sensor}: {said} {' or '.join(faults)}", remedy, sensor)
+        for sensor, faults in found.items()
+    ]

@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, WIND_SPEED
+from twin.logs.agreement import gyro_on_compass, heading_on_track
 from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
 from twin.logs.errors import LogError
-from twin.logs.jumps import find_jumps
+from twin.logs.jumps import FEW, find_jumps
 from twin.logs.readers import Table
 from twin.logs.recording import held, motion_of, repeated
-from twin.logs.signals import ENOUGH, integrated
+from twin.logs.signals import ENOUGH, runs_of
 from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
@@ -23,14 +24,12 @@ __all__ = [
     "check_measurement",
     "check_turning",
     "checked_time",
-    "compass_in_degrees",
     "drop_jumps",
     "drop_repeats",
     "held_command",
     "in_degrees",
     "is_gap",
     "stream_end",
-    "turn_ratio",
 ]
 
 DEGREE = math.pi / 180.0
@@ -38,11 +37,14 @@ DEGREE = math.pi / 180.0
 _WHOLE_TURN = 0.35
 """A step this near to whole turns is one of unwrapping, rad."""
 
+_MANY = 0.01
+"""Larger shares of such steps are no glitches."""
+
+_COHERENT = 0.9
+"""Signals with a larger correlation go with each other."""
+
 _STOPPED = 1.0
 """Commands that are absent for longer may have stopped, s."""
-
-_LOST = 0.1
-"""Largest share of jumping fixes that may be errors of a receiver."""
 
 
 def checked_time(t: Array, table: Table) -> Array:
@@ -167,40 +169,44 @@ def _check_angle(values: Array, name: str, table: Table) -> None:
         step = np.diff(values[rows])
     # unwrapping that restarted steps by whole turns
     residual = np.abs(np.remainder(step + math.pi, 2.0 * math.pi) - math.pi)
-    wild = (np.abs(step) > 2.1 * math.pi) & (residual > _WHOLE_TURN)
-    if not wild.any():
-        return
-    given = table.given[name]
-    worst = int(np.argmax(np.where(wild, np.abs(step), 0.0)))
-    if (np.abs(np.abs(step[wild]) - 360.0) < 30.0).any() or wild.sum() > 0.01 * len(step):
+    wild = (np.abs(step) > 2.0 * math.pi + _WHOLE_TURN) & (residual > _WHOLE_TURN)
+    if wild.sum() > _MANY * len(step):
+        worst = int(np.argmax(np.where(wild, np.abs(step), 0.0)))
         raise LogError(
-            f"{table.source}: column {given}, {table.line(int(rows[worst + 1]))}: {name} steps by "
-            f"{step[worst]:.4g} rad, as degrees do; {_in_degrees(name)}"
+            f"{table.source}: column {table.given[name]}, {table.line(int(rows[worst + 1]))}: "
+            f"{name} steps by {step[worst]:.4g} rad, as degrees do; {_in_degrees(name)}"
         )
-    table.notes.append(
-        f"{given}: {wild.sum()} step(s) of more than a turn; if these are degrees, "
-        f"{_in_degrees(name)}"
-    )
 
 
 def check_turning(t: Array, z: Array, table: Table) -> None:
-    """Refuse a heading or a yaw rate in degrees, where the motion tells."""
-    fix, compass, gyro = (np.isfinite(z[:, j]) for j in (0, 4, 5))
-    if compass.sum() < ENOUGH:
-        return
-    heading, turning = (t[compass], z[compass, COMPASS]), (t[gyro], z[gyro, GYRO])
-    why = compass_in_degrees(heading, (t[fix], z[fix, :2]), turning)
-    if why:
-        raise LogError(
-            f"{table.source}: column {table.given['compass_rad']}: {why}; "
-            f"{_in_degrees('compass_rad')}"
+    """Refuse a heading or a yaw rate that goes with the motion only if it is taken as degrees."""
+    fix, compass, gyro = (np.isfinite(z[:, j]) for j in (0, COMPASS, GYRO))
+
+    def goes(heading_unit: float, rate_unit: float) -> tuple[bool, bool]:
+        """Return whether the heading goes with the track, and with the yaw rate."""
+        heading = t[compass], heading_unit * z[compass, COMPASS]
+        turning = t[gyro], rate_unit * z[gyro, GYRO]
+        found = heading_on_track((t[fix], z[fix, :2]), heading), gyro_on_compass(*heading, *turning)
+        by_track, by_gyro = (
+            each is not None and each.coherence > _COHERENT and 0.5 < each.ratio < 2.0
+            for each in found
         )
-    times = turn_ratio(*heading, *turning) if gyro.sum() >= ENOUGH else 0.0
-    if 40.0 < times < 80.0:
-        raise LogError(
-            f"{table.source}: column {table.given['gyro_radps']}: {times:.3g} times "
-            f"the rate at which the heading turns; {_in_degrees('gyro_radps')}"
-        )
+        return by_track, by_gyro
+
+    as_radians = goes(1.0, 1.0)
+    turns = np.abs(z[compass, COMPASS]).max(initial=0.0) > 2.0 * math.pi
+    for name, units, why in (
+        (
+            "compass_rad",
+            (DEGREE if turns else 1.0, 1.0),
+            "as radians it does not go with the motion",
+        ),
+        ("gyro_radps", (1.0, DEGREE), "about 57 times the rate at which the heading turns"),
+    ):
+        if any(now and not was for now, was in zip(goes(*units), as_radians, strict=True)):
+            raise LogError(
+                f"{table.source}: column {table.given[name]}: {why}; {_in_degrees(name)}"
+            )
 
 
 def drop_jumps(t: Array, z: Array, table: Table) -> None:
@@ -214,7 +220,7 @@ def drop_jumps(t: Array, z: Array, table: Table) -> None:
         f"{t[jumps.after] - t[jumps.before]:.3g} s"
     )
     given = _called(table, slice(0, 2))
-    if lost > _LOST * jumps.fixes:
+    if lost > FEW * jumps.fixes:
         raise LogError(
             f"{table.source}: column(s) {given}, "
             f"{where} and stays away. Read the pieces one by one with start_s and stop_s in [rows] "
@@ -255,79 +261,16 @@ def _called(table: Table, part: slice) -> str:
 
 def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:
     """Return the length and the start of the longest run of rows without a sample."""
-    length, start = longest_gap(t, valid)
-    return f"longest gap {length:.1f} s at t = {start:.1f} s"
+    # a run lasts until the next sample; at the end of the log, for one step beyond it
+    until = np.append(t, t[-1] + np.median(np.diff(t)))
+    runs = [(float(until[end] - t[first]), float(t[first])) for first, end in runs_of(~valid)]
+    return "longest gap {:.1f} s at t = {:.1f} s".format(*max(runs, key=lambda run: run[0]))
 
 
 def is_gap(t: Array) -> npt.NDArray[np.bool_]:
     """Return which steps of time are gaps, shape (N - 1,)."""
     step = np.diff(t)
     return np.asarray(step > GAP_STEPS * np.median(step))
-
-
-def longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Return length and start of the longest run of rows without a sample, s."""
-    edge = np.diff(np.concatenate(([1], valid.astype(np.int8), [1])))
-    first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
-    # A run lasts until the next sample; at the end of the log, for one step beyond it.
-    until = np.append(t, t[-1] + np.median(np.diff(t)))[after]
-    longest = int(np.argmax(until - t[first]))
-    return float(until[longest] - t[first[longest]]), float(t[first[longest]])
-
-
-def turn_ratio(t_compass: Array, psi: Array, t_gyro: Array, gyro: Array) -> float:
-    """Return how many times as fast a gyro turns as a heading; 0 where they turn otherwise.
-
-    Parameters
-    ----------
-    t_compass, psi : ndarray, shape (N,)
-        Times, s, and headings, rad, wrapped or not.
-    t_gyro, gyro : ndarray, shape (M,)
-        Times and yaw rates.
-    """
-    grid = coarse_grid(t_compass)
-    by_gyro = np.diff(np.interp(grid, t_gyro, integrated(t_gyro, gyro)))
-    by_compass = np.diff(np.interp(grid, t_compass, np.unwrap(psi)))
-    both, square = float(by_compass @ by_gyro), float(by_compass @ by_compass)
-    similar = both > 0.9 * math.sqrt(square * float(by_gyro @ by_gyro))
-    return float(both / max(square, 1e-9)) if similar else 0.0
-
-
-def coarse_grid(t: Array) -> Array:
-    """Return times 2 s apart, or ten steps if those are longer."""
-    step = max(2.0, 10.0 * float(np.median(np.diff(t))), (t[-1] - t[0]) / 1e5)
-    return np.arange(t[0], t[-1], step)
-
-
-def compass_in_degrees(
-    compass: tuple[Array, Array], fix: tuple[Array, Array], gyro: tuple[Array, Array]
-) -> str:
-    """Return why headings taken as radians must be degrees, or nothing.
-
-    Parameters
-    ----------
-    compass, fix, gyro : tuple of ndarray
-        Times (N,) and samples: headings (N,), positions (N, 2), yaw rates (N,).
-    """
-    at, heading = compass
-    if len(heading) < ENOUGH or np.abs(heading).max() <= 2.1 * math.pi:
-        return ""
-    if len(fix[0]) >= ENOUGH:
-        grid = coarse_grid(fix[0])
-        way = np.diff([np.interp(grid, fix[0], column) for column in fix[1].T])
-        psi = heading[np.searchsorted(at, grid[1:]).clip(max=len(at) - 1)]
-        length, course = np.hypot(*way), np.arctan2(way[1], way[0])
-        ahead = [
-            length @ np.cos(scale * psi - course) / max(length.sum(), 1e-9)
-            for scale in (1.0, DEGREE)
-        ]
-        if ahead[0] < 0.5 and ahead[1] > 0.9:
-            return "taken as degrees the boat goes where it points, as radians not"
-    if len(gyro[0]) >= ENOUGH:
-        times = turn_ratio(at, heading, *gyro)
-        if not 0.5 < times < 2.0 and 0.5 < turn_ratio(at, DEGREE * heading, *gyro) < 2.0:
-            return "taken as degrees it turns as the yaw rate says, as radians not"
-    return ""
 
 
 def in_degrees(fix: Array) -> str:
@@ -337,8 +280,7 @@ def in_degrees(fix: Array) -> str:
     if len(fix) < ENOUGH:
         return ""
     middle, spread = np.abs(np.median(fix, axis=0)), np.ptp(fix, axis=0)
-    small = spread.max() < 0.2 and spread.max() > 0.0
-    if small and middle.max() > 100.0 * spread.max() and middle[0] <= 180.0 and middle[1] <= 180.0:
+    if 0.0 < spread.max() < 0.2 and 100.0 * spread.max() < middle.max() <= 180.0:
         return (
             f"all lie within {spread.max():.2g} of ({np.median(fix[:, 0]):.5g}, "
             f"{np.median(fix[:, 1]):.5g}), as degrees of latitude and longitude do"

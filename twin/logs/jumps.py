@@ -10,15 +10,18 @@ import numpy.typing as npt
 from twin.logs.columns import Array
 from twin.logs.signals import ways
 
-__all__ = ["Jumps", "find_jumps"]
+__all__ = ["FAST_MPS", "FEW", "TYPICAL", "Jumps", "find_jumps"]
 
-_JUMP, _FAST = 50.0, 30.0
+_JUMP, FAST_MPS = 50.0, 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
+
+FEW = 0.1
+"""At most this share of the samples are single faults."""
 
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""
 
-_TYPICAL = 0.75
+TYPICAL = 0.75
 """The speed of a boat is this quantile: it may also rest at times."""
 
 _STILL_M, _STILL_SHARE = 0.1, 0.02
@@ -58,19 +61,19 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
         return None
     t, fix = t[rows], fix[rows]
     length = np.hypot(*np.diff(fix, axis=0).T)
-    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(t))
+    broken = np.flatnonzero(length > _JUMP + FAST_MPS * np.diff(t))
     if not len(broken):
         return None
     way, _, width = ways(t, fix)
     speeds = np.hypot(*way.T)[np.isfinite(way).all(axis=1)] / width
-    own = float(np.quantile(speeds, _TYPICAL)) if len(speeds) else 0.0
+    own = float(np.quantile(speeds, TYPICAL)) if len(speeds) else 0.0
     stood = t.copy()
     for k in broken[:_PIECES]:
         stood[k] = t[_stood_from(fix[: k + 1], float(length[k]))]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
-        most = np.maximum(_FAST * (t[then] - t[first]), own * (t[then] - stood[first]))
+        most = np.maximum(FAST_MPS * (t[then] - t[first]), own * (t[then] - stood[first]))
         return np.asarray(way <= _JUMP + most, dtype=np.bool_)
 
     # The longest chain of pieces, each of which can be reached from the one before.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -115,6 +116,15 @@ class Recording:
     def called(self, *names: str) -> str:
         """Return what the file calls columns, each once."""
         return ", ".join(dict.fromkeys(self.given.get(name, name) for name in names))
+
+    def without(
+        self, names: Iterable[str], rows: slice | npt.NDArray[Any] = slice(None)
+    ) -> Recording:
+        """Return a recording without some measurements, in all rows or some."""
+        z = self.z.copy()
+        for name in {*names}.intersection(MEASUREMENTS):
+            z[rows, MEASUREMENTS.index(name)] = np.nan
+        return dataclasses.replace(self, z=z)
 
     def samples(self, *names: str) -> tuple[Array, Array]:
         """Return times (M,) and new samples (M, k) of measurements that come together.

@@ -441,6 +441,14 @@ def test_degrees_under_a_name_of_radians_are_refused(
     assert f"column {name}" in message and words in message
 
 
+def test_a_heading_in_degrees_is_refused_beside_a_yaw_rate_in_degrees(tmp_path: Path) -> None:
+    """They go with each other; the track tells."""
+    table = straight_ahead_log()
+    for name in ("compass_rad", "gyro_radps"):
+        table[name] = np.degrees(table[name])
+    assert "name the column compass_deg" in refused(save(tmp_path / "a.csv", as_text(table)))
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
 @pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
 def test_radians_wrapped_or_not_are_accepted(tmp_path: Path, turn: float, wrap: float) -> None:

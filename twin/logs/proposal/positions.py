@@ -8,11 +8,11 @@ import math
 import numpy as np
 
 from twin.channels import MEASUREMENTS
+from twin.logs.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
 from twin.logs.datum import Plane, from_minutes, in_minutes
 from twin.logs.files import hemispheres
-from twin.logs.proposal.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.proposal.header_words import is_shaft, sides_of, unit_of
 from twin.logs.proposal.sheet import (
     Columns,

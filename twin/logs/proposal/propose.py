@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.agreement import (
+    Agreement,
+    gyro_on_compass,
+    heading_on_track,
+    velocity_on_fixes,
+)
 from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
 from twin.logs.columns import OTHER_UNITS, SINGLE, Array
 from twin.logs.errors import LogError
 from twin.logs.log import read_table
-from twin.logs.proposal.agreement import (
-    Agreement,
-    gyro_on_compass,
-    heading_on_track,
-    velocity_on_fixes,
-)
 from twin.logs.proposal.commands import find_commands, find_pulses
 from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east

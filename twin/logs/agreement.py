@@ -115,7 +115,7 @@ def gyro_on_compass(
         for t, angle in ((t_gyro, integrated(t_gyro, gyro)), (t_compass, np.unwrap(compass)))
     ]
     known = np.isfinite(turns).all(axis=0)
-    x, y = (each[known] - each[known].mean() for each in turns)
+    x, y = (each[known] - each[known].sum() / max(known.sum(), 1) for each in turns)
     return _agreement(x + 0j, y + 0j)
 
 
