@@ -47,7 +47,8 @@ WIDENED = 0.1
 UNCORRELATED_PART = 0.3
 """Share of each variance between runs that no other parameter explains: runs are few."""
 
-FEW, FEW_VARIANCE = 2.0, 0.1
+FEW = 2.0
+FEW_VARIANCE = 0.1
 """Before any run, the covariance between runs is taken to be this part of the population's, with
 the weight of so many runs."""
 
@@ -57,7 +58,8 @@ SAME_BOAT = {"length": 0.05, "beam": 0.1, "mass": 0.3}
 SAME_UNIT_OF_THRUST = 0.01
 """Relative difference within which speeds per shaft speed are the same."""
 
-LEAST, MOST = 1e-6, 1e6
+LEAST = 1e-6
+MOST = 1e6
 """Within which lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats lie."""
 
 _SIZES = ("length", "beam", "mass", "speed", "shaft_speed")

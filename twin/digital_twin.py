@@ -48,7 +48,8 @@ Array = NDArray[np.float64]
 _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 """Columns of roll rate, pitch rate and vertical speed of the origin."""
 
-MOTION_AHEAD, MOTION_STEP = float(HORIZONS[-1]), 0.05
+MOTION_AHEAD = float(HORIZONS[-1])
+MOTION_STEP = 0.05
 """How far roll, pitch and heave are forecast, and the finest step of a plan made for that, s."""
 
 LOST, LOST_SHOWN = "navigation began again from the sensors: it or they were far off", 10.0

@@ -28,7 +28,8 @@ __all__ = [
     "write_csv",
 ]
 
-ARCHIVE_MAX, EXPANSION_MAX = 2**28, 20
+ARCHIVE_MAX = 2**28
+EXPANSION_MAX = 20
 """An archive unpacks to no more bytes than this, or than so many times its file. Zeros of an
 empty window shrink to nothing, a long history hardly at all."""
 

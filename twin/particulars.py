@@ -51,13 +51,15 @@ WIND_HEIGHT_MAX = 1000.0
 ANGLE_SD_MAX = 1.0
 """Largest standard deviation of an angle, rad: more is taken for degrees."""
 
-OFF_BOAT, OFF_BOAT_MIN = 2.0, 10.0
+OFF_BOAT = 2.0
+OFF_BOAT_MIN = 10.0
 """Nothing on board is farther from the origin than so many lengths, and so many m at least."""
 
 NARROW = 0.6
 """Two hulls that are narrower together than so much of the stated beam contradict it."""
 
-BLOCK_LEAST, BLOCK_MOST = 0.02, 1.1
+BLOCK_LEAST = 0.02
+BLOCK_MOST = 1.1
 """Mass over that of the water in a box of length, beam and draft, at least and at most."""
 
 BEAM_MOST = 1.5
@@ -70,7 +72,8 @@ STEERING = ("drives", "differential")
 DESIGNS = ("usv75",)
 """Classes of boats of which a model is known: a prior of theirs comes with the package."""
 
-STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
+STUDY_LENGTH = 6.336
+STUDY_SPEED = 5.4
 """Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for."""
 
 

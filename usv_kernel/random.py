@@ -36,16 +36,23 @@ __all__ = [
 STREAM = 4
 """Words of the state of a generator."""
 
-_MULT_HIGH, _MULT_LOW = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
-_ZERO, _ONE, _EIGHT, _ELEVEN = np.uint64(0), np.uint64(1), np.uint64(8), np.uint64(11)
+_MULT_HIGH = np.uint64(0x2360ED051FC65DA4)
+_MULT_LOW = np.uint64(0x4385DF649FCCF645)
+_ZERO = np.uint64(0)
+_ONE = np.uint64(1)
+_EIGHT = np.uint64(8)
+_ELEVEN = np.uint64(11)
 _TURN, _ALL, _63 = np.uint64(58), np.uint64(64), np.uint64(63)
-_HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
-_LAYER, _FRACTION = np.uint64(0xFF), np.uint64(0x000FFFFFFFFFFFFF)
+_HALF = np.uint64(32)
+_LOW = np.uint64(0xFFFFFFFF)
+_LAYER = np.uint64(0xFF)
+_FRACTION = np.uint64(0x000FFFFFFFFFFFFF)
 
 _TABLES = np.load(Path(__file__).parent / "ziggurat.npy")
 _INSIDE = _TABLES[0].copy()
 """Of each layer: what is below needs no further look."""
-_WIDTH, _HEIGHT = _TABLES[1].view(np.float64).copy(), _TABLES[2].view(np.float64).copy()
+_WIDTH = _TABLES[1].view(np.float64).copy()
+_HEIGHT = _TABLES[2].view(np.float64).copy()
 _TAIL = 3.6541528853610087963519472518
 """Where the tail begins, standard deviations."""
 

@@ -20,7 +20,8 @@ OUTPUTS = 16
 UNUSED = 2**16 - 1
 """Pulse width of an unused output, us."""
 
-FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
+FULL_SHAFT = 2.0
+FULL_ANGLE = math.radians(30.0)
 """Full throttle, in nominal shaft speeds, and full helm, rad, where neither is given."""
 
 

@@ -33,7 +33,9 @@ LANES = 16
 
 _LANES = 4
 
-_WIDE, _GROUP, _BLOCK = 8, 6, 6
+_WIDE = 8
+_GROUP = 6
+_BLOCK = 6
 """Columns of the widest vectors, how many of them are summed side by side, so that one need not
 wait for the other, and rows that :func:`accumulate_rows` holds in registers."""
 

@@ -12,14 +12,18 @@ from usv_kernel.jit import kernel
 
 __all__ = ["Children", "hash_numbers", "spawn_children"]
 
-_POOL, _WORDS = 4, 8
+_POOL = 4
+_WORDS = 8
 """Words of 32 bits of a pool, and of a state."""
 
 _MASK = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(16)
-_INIT_A, _MULT_A = np.uint64(0x43B0D7E5), np.uint64(0x931E8875)
-_INIT_B, _MULT_B = np.uint64(0x8B51F9DD), np.uint64(0x58F38DED)
-_MIX_L, _MIX_R = np.uint64(0xCA01F9DD), np.uint64(0x4973F715)
+_INIT_A = np.uint64(0x43B0D7E5)
+_MULT_A = np.uint64(0x931E8875)
+_INIT_B = np.uint64(0x8B51F9DD)
+_MULT_B = np.uint64(0x58F38DED)
+_MIX_L = np.uint64(0xCA01F9DD)
+_MIX_R = np.uint64(0x4973F715)
 
 
 class Children:

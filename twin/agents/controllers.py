@@ -44,7 +44,9 @@ NAMES = {
 """Yaw rate and surge of an observation, by the prefix of its entries."""
 
 CROSS, TO_GO = 0, 1
-COSINES, SINES, SPEED = [2, 4], [3, 5], 7
+COSINES = [2, 4]
+SINES = [3, 5]
+SPEED = 7
 """Columns of what a controller is given: path errors, angles (course error, next turn), speed."""
 
 PATH = (

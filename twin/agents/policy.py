@@ -37,7 +37,8 @@ FORMAT = 1
 ACTIONS = 2
 """Numbers in an action."""
 
-VALUE_MAX, SD_MIN = 1e6, 1e-9
+VALUE_MAX = 1e6
+SD_MIN = 1e-9
 """Bounds of weights, biases and means, and of standard deviations. Within them no sum of a net
 overflows."""
 

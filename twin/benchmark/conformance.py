@@ -29,7 +29,8 @@ ORIGINS = (300, 500)
 
 TRAIN_AT_S = 20.0
 
-HORIZON_S, PLAN_STEP_S = 10.0, 0.25
+HORIZON_S = 10.0
+PLAN_STEP_S = 0.25
 
 
 class ContractError(UsvTwinError):

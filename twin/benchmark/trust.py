@@ -59,17 +59,20 @@ HORIZON_S = 10.0
 FORECAST_EVERY_S = 2.0
 """Time between two of them."""
 
-FORECAST_STEP_MIN_S, FORECAST_STEP_MAX_S = 0.25, 0.5
+FORECAST_STEP_MIN_S = 0.25
+FORECAST_STEP_MAX_S = 0.5
 """Their step is that of the log within these bounds."""
 
-RATIO_OK, RATIO_DOUBTFUL = 0.9, 1.1
+RATIO_OK = 0.9
+RATIO_DOUBTFUL = 1.1
 """Error over that of persistence, up to which a forecast is ok or doubtful."""
 
 STEADY_NOISE = 2.0
 """Where twin and persistence err by less than so many times the noise of the sensors, the boat
 kept its motion, and no twin can be better."""
 
-COVERAGE_OK, COVERAGE_DOUBTFUL = 0.75, 0.5
+COVERAGE_OK = 0.75
+COVERAGE_DOUBTFUL = 0.5
 """Share inside the claimed 90 % from which on it is ok or doubtful."""
 
 CLAIMED = 0.9
@@ -81,16 +84,19 @@ CHANCE_SD = 2.5
 SCORED_MIN_S = 60.0
 """Forecasts over less time than this are never bad."""
 
-WITHOUT_GPS_OK_S, WITHOUT_GPS_DOUBTFUL_S = 30.0, 10.0
+WITHOUT_GPS_OK_S = 30.0
+WITHOUT_GPS_DOUBTFUL_S = 10.0
 """Time without GPS within the bound from which on it is ok or doubtful."""
 
 LOSSES = 8
 """Losses of GPS that are tried in the later half of the log."""
 
-LOSS_MAX_S, LOSS_MIN_S = 60.0, 10.0
+LOSS_MAX_S = 60.0
+LOSS_MIN_S = 10.0
 """They last so long at most; shorter ones say nothing."""
 
-BOUND_MIN_M, BOUND_NOISE_SD = 5.0, 5.0
+BOUND_MIN_M = 5.0
+BOUND_NOISE_SD = 5.0
 """The bound of the position error without GPS is the boat's length, this, or so many standard
 deviations of a fix, whichever is largest."""
 
@@ -117,7 +123,8 @@ DAMPING = {
 }
 """Parameters that damp the motion, and their equations."""
 
-SPEED_RATIO_MIN, SPEED_RATIO_MAX = 0.4, 1.7
+SPEED_RATIO_MIN = 0.4
+SPEED_RATIO_MAX = 1.7
 """Bounds of the speed straight ahead over what the particulars say at that shaft speed: the
 parameters move far enough to hide another boat. On 33 recorded runs of five boats with their own
 particulars the ratio lies between .50 and 1.42."""
@@ -131,11 +138,13 @@ STRAIGHT_RATE = 0.2
 STRAIGHT_MIN_S = 20.0
 """Less time straight ahead says nothing of the speed."""
 
-STEADY_SHAFT, FAST_SHAFT = 0.2, 0.3
+STEADY_SHAFT = 0.2
+FAST_SHAFT = 0.3
 """Largest standard deviation of steady shaft speeds over their mean, and the least mean over the
 largest shaft speed of the run."""
 
-EXCLUDED_DOUBTFUL, DOUBTED_DOUBTFUL = 0.05, 0.2
+EXCLUDED_DOUBTFUL = 0.05
+DOUBTED_DOUBTFUL = 0.2
 """Shares of a run from which on a sensor that the twin excluded, or doubted, is doubtful."""
 
 EXCLUDED_BAD = 0.8

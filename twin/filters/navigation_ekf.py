@@ -87,7 +87,9 @@ REFUSED_MAX = 20.0
 
 REFUSED_RATE = 5.0
 
-LOST_AGAIN, TOO_FAST, SETTLING = 3.0, 1.5, 10.0
+LOST_AGAIN = 3.0
+TOO_FAST = 1.5
+SETTLING = 10.0
 """Where that happens again within so many seconds, at more than so many nominal speeds, the
 velocity is forgotten as well: it was wrong, and no receiver's velocity has corrected it. Models
 then learn nothing for the third, s."""
@@ -104,7 +106,8 @@ LOST_AFTER = 1.0
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 
-FINE_MAX, COARSE_STEP = 30.0, 10.0
+FINE_MAX = 30.0
+COARSE_STEP = 10.0
 """Only the last part of a gap, s, is cut up finely; the rest into steps of this length, s. A row
 then takes no longer after an hour without rows than after half a minute."""
 
@@ -112,7 +115,8 @@ _SHARP = 1e6
 """A correction that shrinks a variance by more than this may leave rounding behind. That of a gyro
 shrinks the yaw rate's by 2e4 in every row, which leaves none that counts."""
 
-BIAS_SD, BIAS_TIME = 0.7, 3.0
+BIAS_SD = 0.7
+BIAS_TIME = 3.0
 """Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
 it takes to find them."""
 

@@ -48,16 +48,22 @@ MODEL_VARIANCES = 4
 N_MODELLED = 7
 """Accelerations of a model, the flag, and variances."""
 
-RING_ROWS, RING_COLUMNS = 64, 9
+RING_ROWS = 64
+RING_COLUMNS = 9
 
-SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
+SPEED_LIMIT = 20.0
+TURN_LIMIT = 10.0
+ACCEL_LIMIT = 50.0
+REACH = 1e7
+ROUNDS = 1e5
 """Limits of valid samples: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
 position in m, and heading in rad (not wrapped). Samples beyond are refused."""
 
 WIND_LIMIT = 100.0
 """Limit of a valid wind speed, m/s."""
 
-AIDED, AIDED_TURN = 0.05, 0.05
+AIDED = 0.05
+AIDED_TURN = 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
 
 VARIANCE_MIN = 1e-12

@@ -31,7 +31,8 @@ __all__ = [
 CHANGES = SIDES + 2
 """Share of thrust of the left and right side, current to north and east."""
 
-SHARE_SD, CURRENT_SD = 0.5, 1.0
+SHARE_SD = 0.5
+CURRENT_SD = 1.0
 """Standard deviations of a change: of the share of its thrust that a side gives, and of the
 current, m/s."""
 

@@ -70,7 +70,8 @@ SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 
 REFITS = len(TRUSTS)
 
-PRIOR, JOINT = REFITS, REFITS + 1
+PRIOR = REFITS
+JOINT = REFITS + 1
 """Candidates that are no refits: the prior's parameters, and those of the joint filter, if there is
 one."""
 
@@ -82,20 +83,25 @@ COUNT_MAX = 2.0**52
 
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 
-ENOUGH, RECORD, MARGIN = 8, 25, 0.25
+ENOUGH = 8
+RECORD = 25
+MARGIN = 0.25
 """Segments before anything is chosen, segments over which the logarithms of squared errors are
 averaged, and by how much another's mean must be lower."""
 
 SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
 """The first of the refits with a short span. After a change, they look back to it at most."""
 
-SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
+SURPRISE_MAX = 4.0
+SURPRISE_DRIFT = 2.2
+SURPRISE_ALARM = 4.5
 """Evidence that the boat has changed is a cumulative sum (Page 1954) of what the logarithms of
 squared errors exceed their long mean by: each up to the first number, less the second. At the
 third the forecasts have become worse. A boat that sails as never before, as into its first
 zigzag, makes less."""
 
-EVIDENCE_ALARM, LAGS = 12.5, (2.0, 6.0, 14.0)
+EVIDENCE_ALARM = 12.5
+LAGS = (2.0, 6.0, 14.0)
 """Evidence above which a change of thrust or current has come, and over how many seconds before
 the last segment it is sought."""
 
@@ -109,7 +115,9 @@ _NAMES = {
 
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
 
-KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
+KNOWN = 14
+KNOWN_THRUST = 30.0
+SETTLED = 20.0
 """Segments that must have been compared, information that they must have on the thrust (see
 ``change.known_before``), and seconds since the last alarm, before another."""
 
@@ -119,7 +127,8 @@ HEAD_START = 1.1
 TRUST_OF_JOINT = 10.0
 """Trust in the data that goes with the parameters of the joint filter."""
 
-LEAST, MOST = 1e-9, 1e9
+LEAST = 1e-9
+MOST = 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
 
 

@@ -50,13 +50,16 @@ ACCEL_MAX = 1e6
 PERIOD_FORMS = ("continuous", "binary")
 """``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1."""
 
-GAMMA_ENVIRONMENT, GAMMA_NONLINEARITY = 0.6, 0.4
+GAMMA_ENVIRONMENT = 0.6
+GAMMA_NONLINEARITY = 0.4
 """Weights of Eq 40."""
 
-BASE_PERIOD, TRACE_LIMIT = 10.0, 1.5**2
+BASE_PERIOD = 10.0
+TRACE_LIMIT = 1.5**2
 """T0 of Eq 36, s, and P_max."""
 
-CALM_ENVIRONMENT, CALM_NONLINEARITY = 0.1, 1.2
+CALM_ENVIRONMENT = 0.1
+CALM_NONLINEARITY = 1.2
 """w_r = 0 where both indices are below these."""
 
 LATERAL_LIMIT = 0.3 * GRAVITY

@@ -31,19 +31,24 @@ DISTURBED = 0.0088, 0.039
 of a tanker within a second. These are gusts, which are no stronger for a longer model, and act on
 an area to move a mass."""
 
-WAVELESS, WAVELESS_TURN = 0.05, 0.005
+WAVELESS = 0.05
+WAVELESS_TURN = 0.005
 """Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
 that of the gyro out."""
 
-WAVE_TIME, WAVE_NOISE, WAVE_PUSH = 1.0, 0.3, 10.0
+WAVE_TIME = 1.0
+WAVE_NOISE = 0.3
+WAVE_PUSH = 10.0
 """Waves that move a tanker: the time over which they are averaged, and what their mean square adds
 to the densities of noise. Time and measurement noise are in lengths over nominal speed, process
 noise is in nominal speeds over length."""
 
-WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
+WANDERING = ("E_north", "E_east", "N_0")
+WANDER_TIME = 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
 
-ROUGH_PUSH, ROUGH_NOISE = 4.0, 0.5
+ROUGH_PUSH = 4.0
+ROUGH_NOISE = 0.5
 """Process and measurement noise of a boat with a fixed pair of thrusters, in those of the study's
 boat. No population says what such boats are like: what their rough model leaves is not white."""
 
@@ -72,7 +77,8 @@ Source: Julier and Uhlmann 1997, n + kappa = 3.
 CURRENT_TIME = 300.0
 """Time of the study's boat in which a current may change by its prior's standard deviation, s."""
 
-UNEQUAL, UNEQUAL_TIME = ("N_0", "N_mn"), 10.0
+UNEQUAL = ("N_0", "N_mn")
+UNEQUAL_TIME = 10.0
 """What turns a boat with a fixed pair of thrusters that are equally fast: wind, waves and unequal
 thrusters. It wanders, by the prior's standard deviation in this time of the study's boat, s."""
 

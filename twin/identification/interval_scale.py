@@ -35,7 +35,8 @@ __all__ = [
     "record_work",
 ]
 
-POINTS, CHANNELS = 7, 5
+POINTS = 7
+CHANNELS = 5
 """Number of times compared in a segment, evenly apart; and channels: position, heading, u, v, r."""
 
 RECORD = [
@@ -56,7 +57,8 @@ These are its terms of first and second order in the inverse number of errors.
 
 Source: Abramowitz and Stegun 1964, 26.7.5."""
 
-FACTOR_MIN, SHARE_MAX = 0.1, 10.0
+FACTOR_MIN = 0.1
+SHARE_MAX = 10.0
 """Least factor of an interval, and largest share of a single error."""
 
 

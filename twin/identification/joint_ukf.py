@@ -54,7 +54,8 @@ STEP_MAX = 0.1
 DOUBTED = 0.1
 """Standard deviation of velocities under doubted commands, in envelopes."""
 
-INFORMATION_STEP, INFORMATION_MAX = 0.25, 1.0
+INFORMATION_STEP = 0.25
+INFORMATION_MAX = 1.0
 """Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
 
 

@@ -14,7 +14,8 @@ __all__ = ["LENGTH_MIN", "rosenstein"]
 
 Array = NDArray[np.float64]
 
-FOLLOWED, APART = 5, 1
+FOLLOWED = 5
+APART = 1
 """Points along which neighbours are followed, the start included; neighbours are more than so many
 samples apart in time. A point is a value and the one after."""
 

@@ -69,7 +69,12 @@ Array = NDArray[Any]
 N_OFFSETS = 3
 
 # columns of a window's rows
-STATE, LOW, WIND, GOOD, ACT, MIDDLE = 0, 6, 9, 11, 12, 16
+STATE = 0
+LOW = 6
+WIND = 9
+GOOD = 11
+ACT = 12
+MIDDLE = 16
 
 COLUMNS = 20
 """Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be

@@ -47,7 +47,8 @@ HEADING_BANDWIDTH = math.radians(20.0)
 """Waves depend on the heading. A residual has a normal weight of this standard deviation, over the
 difference between its heading and the one asked for, rad."""
 
-SECTORS, POOLED_PSEUDO_COUNT = 24, 3.0
+SECTORS = 24
+POOLED_PSEUDO_COUNT = 3.0
 """Sectors of headings; rows of all headings that each sector's fit includes."""
 
 FACTOR = 3 * ORDER

@@ -276,7 +276,8 @@ def write_restart(memory, given, restart):
             cov[i, i] = (RESTART_SD * given.drives.speed) ** 2
 
 
-SWITCHED, SWITCHED_WITH_GPS = 1.0, 2.0
+SWITCHED = 1.0
+SWITCHED_WITH_GPS = 2.0
 """Another filter has come into force, without and with a GPS before."""
 
 KNOWN_S = 1.0

@@ -121,7 +121,8 @@ RESIDUAL_SD_MIN = 0.009
 RESIDUAL_MAX = 3.0
 """A residual counts up to so many standard deviations in what is learned."""
 
-SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
+SHAFT_MAX = 20.0
+ANGLE_MAX = 7.0
 """Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad."""
 
 IDLE = 0.1

@@ -50,7 +50,8 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 Pair = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 
-GRID_S, GRID_POINTS = 0.1, 20_000
+GRID_S = 0.1
+GRID_POINTS = 20_000
 """Step of the grid, s, and its most points: of longer logs it is coarser."""
 
 FLOOR = 0.002
@@ -71,7 +72,8 @@ TILT_RAD = math.radians(2.0)
 STILL = 0.02
 """Commands that change by a smaller share of their size tell nothing."""
 
-ARC_RAD, SLOW_SHARE = 1.5, 0.2
+ARC_RAD = 1.5
+SLOW_SHARE = 0.2
 """Over a larger turn a way tells no direction; nor below this share of the largest speed."""
 
 HORIZONS_S = tuple(2.0**k for k in range(6))

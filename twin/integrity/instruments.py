@@ -31,7 +31,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-LEAST, LEAST_FIX_M = 0.25, 0.005
+LEAST = 0.25
+LEAST_FIX_M = 0.005
 """No standard deviation is set to a smaller share of the usual one, nor that of fixes, which differ
 more, to less than the second: filtered columns are smoother than the sensor is true."""
 

@@ -66,7 +66,8 @@ __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
 
 Array = npt.NDArray[np.float64]
 
-SHORT_S, DOUBT_S = 1.0, 8.0
+SHORT_S = 1.0
+DOUBT_S = 8.0
 """A sensor that the checks leave out or doubt for less than the first is not worth a word; for
 less than the second at once, and few rows in all, a note."""
 

@@ -31,7 +31,8 @@ __all__ = ["SensorMonitor", "SensorStatus", "run_over", "statuses_of"]
 
 Array = NDArray[Any]
 
-_STATUSES, _SWITCHED = field_at(INTEGRITY, "statuses"), field_at(INTEGRITY, "switched")
+_STATUSES = field_at(INTEGRITY, "statuses")
+_SWITCHED = field_at(INTEGRITY, "switched")
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(INTEGRITY, "wind") + field_at(WIND_CHECK, name)

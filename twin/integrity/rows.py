@@ -49,7 +49,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-FIX, VELOCITY = ("gps_x_m", "gps_y_m"), ("gps_vx_mps", "gps_vy_mps")
+FIX = ("gps_x_m", "gps_y_m")
+VELOCITY = ("gps_vx_mps", "gps_vy_mps")
 GYROS = ("gyro_x_radps", "gyro_y_radps", "gyro_radps")
 FORCES = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 ANGLES = ("ahrs_roll_rad", "ahrs_pitch_rad")
@@ -84,11 +85,14 @@ JITTER = 0.05
 STAMPS_S = 0.03
 """Stamps of fixes that jitter by more are worth a word."""
 
-SILENT_S, STALE_S = 2.0, 0.5
+SILENT_S = 2.0
+STALE_S = 0.5
 """A sensor is lost when it gives nothing new for longer, and for so many of its intervals; all of
 them never repeat themselves at once for longer than the last."""
 
-OUTLIER, LEAP_M, LEAP_RAD = 15.0, 0.1, math.radians(4.0)
+OUTLIER = 15.0
+LEAP_M = 0.1
+LEAP_RAD = math.radians(4.0)
 """A leap is so many times the median deviation, and at least so large."""
 
 HUGE = 1e100
@@ -100,13 +104,15 @@ SAILS_M = 20.0
 ABSURD = 4.0
 """A sample so many times as large as the others is none, however the boat moved, ..."""
 
-FAR, ABSURD_FROM = 400.0, {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
+FAR = 400.0
+ABSURD_FROM = {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
 """... if it is larger than this, in the unit of its column."""
 
 LARGE_ANGLE_RAD = 0.5 * math.pi
 """Few rudders and drives turn farther."""
 
-SHAFT_FAR, SHAFT_NEAR = 5.0, 1.4
+SHAFT_FAR = 5.0
+SHAFT_NEAR = 1.4
 """Speed over shaft speed is that of the particulars, or of a unit, within these factors."""
 
 

@@ -22,7 +22,8 @@ FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 REPEATS = 6.0
 """After so many typical times between new samples one that repeats itself is frozen."""
 
-MASKED_S, MASKED_SAMPLES = 0.5, 2.5
+MASKED_S = 0.5
+MASKED_SAMPLES = 2.5
 """After an impossible number the sensor is left out for so long, or for so many samples."""
 
 MOVES = 0.1

@@ -127,7 +127,8 @@ INTEGRITY_SETTINGS = np.dtype(
 NEVER_S = 1e9
 """Age of what has never come."""
 
-REFERENCE_HEIGHT_M, PROFILE = 10.0, 0.11
+REFERENCE_HEIGHT_M = 10.0
+PROFILE = 0.11
 """The wind of the model is that of this height; exponent of the wind's profile over open sea.
 
 Source: Hsu, Meindl and Gilhousen 1994."""

@@ -57,8 +57,11 @@ POINTS = 13
 LIKELY = 0.5
 """What is left must shrink to this share in one comparison."""
 
-COMPASS, HEIGHT, CLIMB = ("compass_rad",), ("gps_z_m",), ("gps_vz_mps",)
-SHAFTS, STEERING = COMMANDS[:2], COMMANDS[2:]
+COMPASS = ("compass_rad",)
+HEIGHT = ("gps_z_m",)
+CLIMB = ("gps_vz_mps",)
+SHAFTS = COMMANDS[:2]
+STEERING = COMMANDS[2:]
 
 
 class Scan(NamedTuple):
@@ -215,9 +218,11 @@ def _opposite(
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
 
-QUARTER, ASKEW = 0.5 * math.pi, _angles(10.0)
+QUARTER = 0.5 * math.pi
+ASKEW = _angles(10.0)
 SCALES = Scan(1.0, 0.09, np.geomspace(0.1, 10.0, POINTS).tolist())
-ZERO, DELAY = _between(-0.3, 0.3, GYRO_ZERO_RADPS), _between(0.0, 3.0, 0.2)
+ZERO = _between(-0.3, 0.3, GYRO_ZERO_RADPS)
+DELAY = _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 STATED = "in [instruments] of the particulars"
 FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"

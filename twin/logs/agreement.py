@@ -25,7 +25,8 @@ WINDOW_S = 2.0
 FAR_M = 1e9
 """No boat goes farther between two fixes, whatever the unit."""
 
-HORIZONS_S, SEEN = (1.0, 2.0, 4.0, 8.0), 0.4
+HORIZONS_S = (1.0, 2.0, 4.0, 8.0)
+SEEN = 0.4
 """Times over which commands turn a boat, and the correlation from which on they are seen to."""
 
 

@@ -47,7 +47,8 @@ _LEAPS = 1.01
 _SPEED_TIME = 3.0
 """A boat's speed beside a gap is that over so many seconds."""
 
-_STOOD, _SEEN = 0.5, 6.0
+_STOOD = 0.5
+_SEEN = 6.0
 """Across a gap, a boat went less than this share of the way at its speed, and the way is so many
 times the noise of a fix."""
 

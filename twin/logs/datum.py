@@ -30,7 +30,8 @@ DATUM = ("datum_latitude_deg", "datum_longitude_deg", "datum_epoch_s")
 FIXES = ("latitude_deg", "longitude_deg")
 """Columns that only place a log whose positions are in metres: where each fix was."""
 
-_MISFIT, _MISFIT_SHARE = 5.0, 0.005
+_MISFIT = 5.0
+_MISFIT_SHARE = 0.005
 """Nine fixes in ten lie within so many metres of their place on the plane, or within this share of
 the way to the middle of them all: loggers have maps of their own, which are less exact."""
 

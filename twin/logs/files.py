@@ -40,7 +40,8 @@ _BLOCK_BYTES = 1 << 20
 _BLANK_MAX = 1000
 """Most blank lines before the header."""
 
-_REMARKS, _REMARK_LINES = ("#", "%", "//", "sep="), 100
+_REMARKS = ("#", "%", "//", "sep=")
+_REMARK_LINES = 100
 """What lines of comments begin with, and the most of them that are looked at."""
 
 _LOOK = 1000

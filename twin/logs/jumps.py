@@ -12,7 +12,8 @@ from twin.logs.signals import ways
 
 __all__ = ["FAST_MPS", "FEW", "TYPICAL", "Jumps", "find_jumps"]
 
-_JUMP, FAST_MPS = 50.0, 30.0
+_JUMP = 50.0
+FAST_MPS = 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
 
 FEW = 0.1
@@ -24,7 +25,8 @@ _PIECES = 1000
 TYPICAL = 0.75
 """The speed of a boat is this quantile: it may also rest at times."""
 
-_STILL_M, _STILL_SHARE = 0.1, 0.02
+_STILL_M = 0.1
+_STILL_SHARE = 0.02
 """Fixes stand still within this, or this share of the step that follows."""
 
 

@@ -58,7 +58,8 @@ SPREAD_MIN = 1e-3
 """A smaller spread, as a share of the structure's own, means that calm water shows nothing."""
 
 
-SCALE_SD, SCALE_MOST = math.log(3.0), 10.0
+SCALE_SD = math.log(3.0)
+SCALE_MOST = 10.0
 """Of the drag of two thrusters' boats: standard deviation of its logarithm, and the most of it.
 Drag over displacement of such boats at their typical speeds goes from .01 to .1 and more."""
 

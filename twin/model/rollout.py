@@ -72,7 +72,8 @@ SLOW_ENOUGH = 1.3
 SHORTEST = 16.0
 """So many steps of the integration are made in a second at most."""
 
-FASTER, START_SPEED = 1.25, 0.1
+FASTER = 1.25
+START_SPEED = 0.1
 """Steps are chosen again where the boat is so much faster: share, and nominal speeds."""
 
 HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])

@@ -105,17 +105,21 @@ FULL, HEADING, LENGTH, SOFT, CURRENT = range(5)
 """Hull constants: 1 where all terms are needed, 1 where the heading is, length (m), softening
 (m2/s2), index of the current's two components among the parameters (-1 if there are none)."""
 
-CURRENT_SD, CURRENT_SHARE = 0.3, 0.1
+CURRENT_SD = 0.3
+CURRENT_SHARE = 0.1
 """Standard deviation of each component of the current before any data, m/s, and at most in nominal
 speeds: no one sails a boat or a ship's model where the water runs as fast."""
 
-WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
+WAKE_SQUARED = 0.4
+SLIPSTREAM = 0.6
+ASTERN = 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
 
 SOFT_SPEED = 0.05
 """Flow below which the inflow is softened, in nominal speeds."""
 
-STRAIGHTENING, LEVER = 0.5, 0.71
+STRAIGHTENING = 0.5
+LEVER = 0.71
 """Flow straightening and effective lever over length at the stern.
 
 Source: docs/explanation/twin.md, Tankers.

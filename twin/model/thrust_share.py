@@ -37,8 +37,11 @@ SIDES = 2
 
 _BY_THRUST = (*range(ADVANCE_COS, FIN_SIDE + 1), *range(LEFT_COS, ASTERN_RACE + 1))
 
-_SPEEDS, _DRIFTS, _TURNS = (0.4, 0.8, 1.2), (-0.1, 0.0, 0.1), (-0.2, 0.0, 0.2)
-_SHAFTS, _ANGLES = (0.4, 0.8, 1.2), (-0.4, 0.0, 0.4)
+_SPEEDS = (0.4, 0.8, 1.2)
+_DRIFTS = (-0.1, 0.0, 0.1)
+_TURNS = (-0.2, 0.0, 0.2)
+_SHAFTS = (0.4, 0.8, 1.2)
+_ANGLES = (-0.4, 0.0, 0.4)
 """Motions in nominal units, and drive angles, rad."""
 
 _LESS = 0.5

@@ -51,7 +51,8 @@ from usv_kernel.scalar import sincos
 
 __all__ = ["HELD", "is_measured", "take_attitude"]
 
-RATE_MEMORY, RATE_ROWS = 60.0, 100.0
+RATE_MEMORY = 60.0
+RATE_ROWS = 100.0
 """How fast a boat rolls and pitches is learned over such a time, s; the first guess is worth so
 many rows."""
 
@@ -79,14 +80,19 @@ GATE = 6.0
 REFUSALS_MAX = 40.0
 """... but no more than these in a row."""
 
-SURPRISE_SAMPLES, SURPRISE_MAX, SURPRISE_CALM, SURPRISE_LIMIT = 10.0, 9.0, 2.0, 25.0
+SURPRISE_SAMPLES = 10.0
+SURPRISE_MAX = 9.0
+SURPRISE_CALM = 2.0
+SURPRISE_LIMIT = 25.0
 """Gyro and AHRS contradict each other where the mean square of so many innovations of the AHRS is
 so many times what it should be, and no longer below the next number. The last is the most that a
 single one counts, as of a spike."""
 
 SUSPECT_NONE, SUSPECT_GYRO, SUSPECT_AHRS, SUSPECT_BOTH = range(4)
 
-OWN_TIME, SQUARE_TIME, TILT_MARGIN = 10.0, 2.0, math.radians(2.0)
+OWN_TIME = 10.0
+SQUARE_TIME = 2.0
+TILT_MARGIN = math.radians(2.0)
 """Roll and pitch by gyros alone are held to gravity with the first time, s. Over the second, the
 mean squares of how far they and the AHRS are from gravity differ by the square of the third (rad),
 where one is in doubt."""

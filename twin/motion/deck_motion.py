@@ -103,7 +103,8 @@ def _places(channels: str, planar: str) -> list[int]:
     return [*range(first, first + len(MOTION_CHANNELS)), accel, accel + 1]
 
 
-_AGES, _LAST = _places("ages", "planar_ages"), _places("last", "planar")
+_AGES = _places("ages", "planar_ages")
+_LAST = _places("last", "planar")
 
 _SUSPECT_AT = field_at(MOTION, "attitude") + field_at(ATTITUDE, "doubted")
 

@@ -49,7 +49,8 @@ TARGETS = N_CHANNELS * N_HORIZONS
 LAGS = 16
 """Samples of each signal that a forecast is made from ..."""
 
-LAG, LAG_LENGTH = 0.2, 6.336
+LAG = 0.2
+LAG_LENGTH = 6.336
 """... and the time between them, s, on a boat of this length (m). It grows with the root of it."""
 
 BASE = 0.05
@@ -101,10 +102,12 @@ PRIOR_SD = (0.05, 0.05, 0.2, 0.3)
 PRIOR_TIME = 3.0
 """... which counts as so many seconds of data."""
 
-HEEL_TIME, HEEL_MEMORY = 2.0, 300.0
+HEEL_TIME = 2.0
+HEEL_MEMORY = 300.0
 """Heel and trim are compared with means of this time, over this time, s."""
 
-HEEL, HEEL_SD = (-0.2, 0.0), (0.3, 0.1)
+HEEL = (-0.2, 0.0)
+HEEL_SD = (0.3, 0.1)
 """Roll and pitch for an acceleration of 1 g to starboard and forward, before any data, rad."""
 
 HEEL_NOISE = 0.02
@@ -134,7 +137,8 @@ ERROR_TIMES = (10.0, 10.0, MEMORY_OF_HEAVE, 1.0)
 STAYS = np.exp(-HORIZONS / np.array(ERROR_TIMES)[:, None]).ravel()
 """Share of such an error that is left at each horizon."""
 
-HEAVE_LEAK, CLIMB_LEAK = (0.06, 0.6), 0.15
+HEAVE_LEAK = (0.06, 0.6)
+CLIMB_LEAK = 0.15
 """Share of the heave that the filter leaves out or shifts, with GNSS and without; the same of the
 vertical speed without."""
 

@@ -34,7 +34,8 @@ and by the slopes alone."""
 BAND = 0.25
 """Width of a spectrum, as a share of its frequency."""
 
-RATIO_SD, PHASE_SD = 0.35, 0.5
+RATIO_SD = 0.35
+PHASE_SD = 0.5
 """Standard deviations of the logarithm of the frequency of encounter, and of that correlation."""
 
 DOUBTFUL = 1.0

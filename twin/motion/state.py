@@ -50,7 +50,9 @@ N_VERTICAL = 4
 RING = 64
 """Rows that are kept for fixes that come late."""
 
-GYRO_TIME, ACCEL_TIME, HEIGHT_TIME = 300.0, 110.0, 400.0
+GYRO_TIME = 300.0
+ACCEL_TIME = 110.0
+HEIGHT_TIME = 400.0
 """Time constants of the biases of gyros, accelerometers and GNSS height, s."""
 
 AHRS_WHITE = 0.1
@@ -59,20 +61,23 @@ AHRS_WHITE = 0.1
 NEVER = 1e9
 """Age of a sample that has not come yet, s."""
 
-WAVE_ACCEL, WAVE_TIME = 0.15, 0.5
+WAVE_ACCEL = 0.15
+WAVE_TIME = 0.5
 """Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s;
 before the innovations show what it is ..."""
 
 WAVE_ACCEL_RANGE = (0.03, 0.6)
 """... and its range, m/s2."""
 
-INNOVATION_TIME, INNOVATION_MEMORY = 5.0, 60.0
+INNOVATION_TIME = 5.0
+INNOVATION_MEMORY = 60.0
 """Time over which innovations are averaged for that, and over which the averages are, s."""
 
 NO_FIX = 2.0
 """Without a vertical speed of the GNSS for so long, heave comes from the IMU alone, s."""
 
-CORNER, CORNER_RANGE = 0.2, (0.15, 0.6)
+CORNER = 0.2
+CORNER_RANGE = (0.15, 0.6)
 """Without GNSS, heave that is slower than this part of the frequency of the waves is left out, and
 its range, rad/s."""
 
@@ -80,10 +85,12 @@ RATE_POWER = (0.3**2, (0.3 * 2.5) ** 2)
 """Mean squares of the rate of roll or pitch ((rad/s)2) and of its derivative ((rad/s2)2), of a boat
 whose gyro has said nothing yet."""
 
-WAVE_WINDOW, WAVE_LEAK = 60.0, 4.0
+WAVE_WINDOW = 60.0
+WAVE_LEAK = 4.0
 """Times over which that frequency is found, and in which a speed is forgotten for it, s."""
 
-MEMORY, SLOW_HEAVE = 15.0, 0.025
+MEMORY = 15.0
+SLOW_HEAVE = 0.025
 """Time in which a constant heave is forgotten (s), as heave is counted from its mean, and standard
 deviation of heave that changes more slowly than that (m)."""
 

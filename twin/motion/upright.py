@@ -12,7 +12,8 @@ from usv_kernel.scalar import sincos
 
 __all__ = ["turn_upright"]
 
-FRESH, SURE_SD = 1.0, 0.1
+FRESH = 1.0
+SURE_SD = 0.1
 """Only with samples of so many s, and standard deviations below these (rad), are roll and pitch
 taken out of the other sensors."""
 

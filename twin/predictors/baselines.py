@@ -36,8 +36,10 @@ GAP_MAX = 300.0
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
 
-STATES, VELOCITIES = slice(0, 6), slice(3, 6)
-COMMANDED, ACTUATORS = slice(6, 10), slice(10, 14)
+STATES = slice(0, 6)
+VELOCITIES = slice(3, 6)
+COMMANDED = slice(6, 10)
+ACTUATORS = slice(10, 14)
 """Parts of a row of the history; the actuators only where a predictor follows them."""
 
 _SPARE = 8

@@ -146,13 +146,15 @@ def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Ar
     return np.array(np.broadcast_to(given, size))
 
 
-SHAFT_LIMIT, ANGLE_LIMIT = 20.0, 7.0
+SHAFT_LIMIT = 20.0
+ANGLE_LIMIT = 7.0
 """Limits of a valid command: shaft speed in nominal ones, and drive angle in rad."""
 
 RIDGE = 1e-9
 """Share that is added to the variances of a prediction, so that rounding leaves it definite."""
 
-_WIND, _ACCEL_Y = MEASUREMENTS.index("wind_mps"), MEASUREMENTS.index("accel_y_mps2")
+_WIND = MEASUREMENTS.index("wind_mps")
+_ACCEL_Y = MEASUREMENTS.index("accel_y_mps2")
 
 
 class _Filter(NamedTuple):

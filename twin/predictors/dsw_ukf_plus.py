@@ -71,7 +71,8 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time scale, in units of the study boat's, from which on segments are too correlated."""
 
-DRAWS_MIN, DRAWS_MAX = 20, 10_000
+DRAWS_MIN = 20
+DRAWS_MAX = 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
 

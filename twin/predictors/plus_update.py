@@ -83,7 +83,9 @@ __all__ = [
     "update_plus",
 ]
 
-SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
+SPEED_GOOD = 0.25
+HEADING_GOOD = 0.1
+GAP_GOOD = 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
 greatest age (s) of the row before it."""
 

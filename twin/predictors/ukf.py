@@ -109,7 +109,8 @@ SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
 
 
-_BEGUN, _LOST = field_at(NAVIGATION, "begun"), field_at(NAVIGATION, "lost")
+_BEGUN = field_at(NAVIGATION, "begun")
+_LOST = field_at(NAVIGATION, "lost")
 
 
 class UKFMemory(NamedTuple):

@@ -17,11 +17,14 @@ from usv_kernel.jit import inlined
 
 __all__ = ["try_open_loop", "widen_without_gps"]
 
-MODEL_DRIFT, LASTING_SHARE = 0.02, 0.045
+MODEL_DRIFT = 0.02
+LASTING_SHARE = 0.045
 """Error of the model's velocity that lasts without GPS, in nominal speeds, at least; and how much
 of the variance of a rough model's own velocity does, of no more than the fastest seen."""
 
-TRIAL, TRIALS_KEPT, PER_AXIS = 40.0, 6, 0.5
+TRIAL = 40.0
+TRIALS_KEPT = 6
+PER_AXIS = 0.5
 """Length of a trial, s: while fixes come, the model is integrated open loop, but for its heading.
 Its mean velocity error over a trial stands for that of an outage. The geometric mean of the squares
 of so many trials is kept; north and east have this share of it each. A trial that an outage

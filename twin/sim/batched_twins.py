@@ -94,7 +94,8 @@ TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 
 _HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(INTEGRITY))
 _ALL_STATUSES = _HEALTH.start + field_at(INTEGRITY, "statuses")
-_LOOK, _FORECASTING = field_at(SETTINGS, "look"), field_at(SETTINGS, "forecasting")
+_LOOK = field_at(SETTINGS, "look")
+_FORECASTING = field_at(SETTINGS, "forecasting")
 
 
 PRIORS = ("boat", "class", "fleet")

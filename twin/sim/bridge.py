@@ -48,7 +48,8 @@ Array = NDArray[np.float64]
 UPRIGHT = 0.07
 """Margin for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
 
-TILT_SD, TILT_TIME = 0.08, 1.0
+TILT_SD = 0.08
+TILT_TIME = 1.0
 """Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
 
 CONTROL_STEP = 0.05

@@ -80,7 +80,8 @@ ERRORS = 3
 COUNTS = ("n", "n_intervals")
 """How many forecasts were graded, and how many of them with new standard deviations."""
 
-_COUNT, _INTERVALS = len(SCORES), len(SCORES) + 1
+_COUNT = len(SCORES)
+_INTERVALS = len(SCORES) + 1
 
 _SUMS = (len(PLANS), len(WHERE), len(HORIZONS), len(SCORES) + len(COUNTS))
 

@@ -442,7 +442,8 @@ def keep_forecast_flat(row, shared, notes, start, doubted, period):
     keep_forecast(start, boat, note, happens, period, notes, GRADES_AT, (0, 0))
 
 
-_NAV_WORK, _NAV_SETTINGS = record_size(NAVIGATION_WORK), record_size(NAVIGATION_SETTINGS)
+_NAV_WORK = record_size(NAVIGATION_WORK)
+_NAV_SETTINGS = record_size(NAVIGATION_SETTINGS)
 
 
 @inlined

@@ -20,7 +20,8 @@ __all__ = ["SeaTrial", "sail_in_sea", "warning_of"]
 HEADINGS = (0.0, 45.0, 90.0, 135.0, 180.0)
 """Angles to where the waves go, degrees: 0 is a following sea."""
 
-DURATION, DT = 60.0, 0.05
+DURATION = 60.0
+DT = 0.05
 """Length of the trial and its step, s."""
 
 REALISATIONS = 2

@@ -53,7 +53,9 @@ SPREAD_MAX = 0.5
 
 Span = tuple[float, float]
 
-DEGREES, LOADS, CURRENTS = (-DEGREES_MAX, DEGREES_MAX), (0.5, 1.5), (0.0, 10.0)
+DEGREES = (-DEGREES_MAX, DEGREES_MAX)
+LOADS = (0.5, 1.5)
+CURRENTS = (0.0, 10.0)
 """Bounds of angles (degrees), of factors of the mass, and of speeds of the current (m/s)."""
 
 CURRENT_ANY = (0.0, 0.5)

@@ -114,7 +114,9 @@ TILT_SCALE = math.radians(10.0)
 WIND_SCALE = 10.0
 """Unit of the apparent wind, m/s."""
 
-_GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, WIND_AT - 2
+_GYRO_X = len(SENSOR_CHANNELS)
+_AHRS_ROLL = len(SENSOR_CHANNELS) + 3
+_GPS_Z = WIND_AT - 2
 
 _AGE_OF = (GPS_X, COMPASS, GYRO, _AHRS_ROLL, WIND_AT)
 """Channels whose samples the ages of GPS, compass, IMU, AHRS and anemometer count from."""
@@ -149,7 +151,8 @@ EPISODES = np.dtype(
 _KEYS = (*((0, *key) for key in KEYS), (1,), (2,))
 """Children of a boat's generator: those of the simulation, then for the task, and for the world."""
 
-_TASK, _WORLD = len(_KEYS) - 2, len(_KEYS) - 1
+_TASK = len(_KEYS) - 2
+_WORLD = len(_KEYS) - 1
 
 _HEADING = field_at(WORLD, "heading")
 

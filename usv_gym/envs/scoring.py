@@ -42,14 +42,19 @@ EFFORT_COST = 0.05
 OFF_PATH_MOST = 2.0
 """The most that a distance from the path costs in a step."""
 
-DISTANCE_COST, BERTH_SPEED_COST, STATION_SPEED_COST, HEADING_COST = 0.5, 0.5, 0.1, 0.25
+DISTANCE_COST = 0.5
+BERTH_SPEED_COST = 0.5
+STATION_SPEED_COST = 0.1
+HEADING_COST = 0.25
 """What a unit of distance, the nominal speed (too fast for a berth; at a station), and an angle to
 the berth of 90 degrees cost in a step."""
 
 BERTH_SLOWING = 3.0
 """A boat may sail at nominal speed so many reaches from its berth, and slower in proportion."""
 
-ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
+ROLL_UNIT = math.radians(10.0)
+LIFT_UNIT = 2.0
+MOTION_MOST = 4.0
 """Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
 and the most that a step costs, before the weight."""
 

@@ -44,7 +44,8 @@ _KIND, _LOAD, _WIND_FROM, _CURRENT, _CURRENT_TO, _HEADING = range(6)
 _NUMBERS = 6
 """Uniform numbers of an episode: all are drawn, so that none hangs on which options are set."""
 
-_KIND_AT, _LOAD_AT = field_at(WORLD, "kind"), field_at(WORLD, "load")
+_KIND_AT = field_at(WORLD, "kind")
+_LOAD_AT = field_at(WORLD, "load")
 _FACTORS = slice(field_at(WORLD, "factors"), field_at(WORLD, "factors") + len(FACTORS))
 
 _FAULTS = slice(field_at(WORLD, "faults"), field_at(WORLD, "fault_start") + 1)

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 
 Complex = NDArray[np.complex128]
 
-FREQUENCIES_MAX, HEADINGS_MAX = 500, 181
+FREQUENCIES_MAX = 500
+HEADINGS_MAX = 181
 """Most frequencies and headings of a table; each sea is made from all of them."""
 
 ODD = np.array([False, True, False, True, False, True])

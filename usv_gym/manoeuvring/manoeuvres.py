@@ -88,7 +88,8 @@ MISSION = "mission"
 SCENARIOS = (*MANOEUVRES, *HEADINGS, MISSION)
 """All that a run can be."""
 
-HOLD_GAIN, HOLD_RATE = 0.8, 0.8
+HOLD_GAIN = 0.8
+HOLD_RATE = 0.8
 """Drive angle for a heading error, and for a turning of a length in the time to sail it."""
 
 

@@ -17,17 +17,20 @@ if TYPE_CHECKING:
 
 __all__ = ["CURRENT", "CURRENT_TO", "Mission", "time_to_know", "way_points"]
 
-LEG, APART = (100.0, 12.0), (30.0, 7.0)
+LEG = (100.0, 12.0)
+APART = (30.0, 7.0)
 """Length of a leg, and distance between legs: m, and the least in lengths of the boat."""
 
-AHEAD, REACH = 3.0, 2.0
+AHEAD = 3.0
+REACH = 2.0
 """Distances in lengths of the boat: to the point of the leg that it steers for, and to the end of a
 leg at which the next one begins."""
 
 CRAB_TIME = 20.0
 """Time constant of the crab angle, s: that of the current, not that of a turn."""
 
-CURRENT, CURRENT_TO = 0.2, math.radians(60.0)
+CURRENT = 0.2
+CURRENT_TO = math.radians(60.0)
 """Current of a mission in a sea without one, m/s, and where it goes."""
 
 LEGS_KNOWN = 2.0

@@ -27,7 +27,10 @@ LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
 # rows of the loads of a hydrodynamic table (H, 14, M), at H headings of the boat: X, Y, Z, K, M, N
 # that go with the cosine of a component's phase, then with its sine, and the velocity of the water
 # forward and to starboard, with the cosine
-COSINE_LOADS, SINE_LOADS, ORBIT_FORWARD, ORBIT_STARBOARD = 0, 6, 12, 13
+COSINE_LOADS = 0
+SINE_LOADS = 6
+ORBIT_FORWARD = 12
+ORBIT_STARBOARD = 13
 
 LOAD_ROWS = 14
 

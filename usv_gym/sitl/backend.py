@@ -33,7 +33,8 @@ COUNTS = {
 }
 """What a backend counts."""
 
-PORT, INSTANCE = 9002, 10
+PORT = 9002
+INSTANCE = 10
 """Port of ArduPilot's first instance, and the distance to that of the next one."""
 
 INSTANCES_MAX = 100

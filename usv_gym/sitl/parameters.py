@@ -20,7 +20,8 @@ __all__ = ["Handling", "autopilot_parameters", "cruising_speed", "handling", "pa
 CRUISE_FROUDE = 0.36
 """Froude number of the cruising speed, that of a displacement boat."""
 
-STEP, LENGTHS = 0.05, 40.0
+STEP = 0.05
+LENGTHS = 40.0
 """Step of a trial, s, and how far it goes at the cruising speed, ship lengths."""
 
 RESPONSE = 0.632
@@ -33,7 +34,10 @@ FEED_FORWARD = 0.6
 """... with so much of the steering as feed-forward. The rest comes from P and I, so that it does
 not overshoot where a boat answers small angles better than large ones."""
 
-STEERING, THROTTLE, LEFT, RIGHT = 26, 70, 73, 74
+STEERING = 26
+THROTTLE = 70
+LEFT = 73
+RIGHT = 74
 """Functions of ArduPilot's servo outputs."""
 
 

@@ -12,7 +12,9 @@ from usv_gym.vessel.mesh import Array, Mesh, loft, mirrored
 
 __all__ = ["HullLines"]
 
-_STATIONS, _BELOW, _ABOVE = 33, 8, 4  # sections of a hull; rows of faces below and above water
+_STATIONS = 33
+_BELOW = 8
+_ABOVE = 4
 
 _BLUNT = (0.7, 12.0)  # exponents of sections that a keel may be tilted to
 

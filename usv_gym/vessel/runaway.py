@@ -50,7 +50,8 @@ STATE_MAX = 1e9
 CAPSIZED = math.radians(70.0)
 """Roll or pitch beyond which the motion is not judged, rad."""
 
-HEELED, DIPPING = 0.2, 0.05
+HEELED = 0.2
+DIPPING = 0.05
 """Roll and pitch at the start of those in six degrees of freedom, rad."""
 
 ROCKING = 0.3

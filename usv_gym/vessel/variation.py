@@ -211,7 +211,8 @@ LAW = np.dtype(
 )
 """How the boats of a kind are drawn and checked."""
 
-NO_BOAT, NO_SPEED = -1.0, -2.0
+NO_BOAT = -1.0
+NO_SPEED = -2.0
 """What stands in place of the speed: no boat was found, or its load leaves it none."""
 
 

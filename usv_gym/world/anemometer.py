@@ -28,7 +28,8 @@ WIND_NOISE_SIZE = record_size(WIND_NOISE)
 WIND_ROWS = 2
 """Numbers of a sample that wait for its latency: air past the mast forward and to starboard."""
 
-REFERENCE_HEIGHT, PROFILE = 10.0, 0.11
+REFERENCE_HEIGHT = 10.0
+PROFILE = 0.11
 """Height of the mean wind of a sea state, m, and exponent of the wind's profile over open sea.
 
 Source: Hsu, Meindl and Gilhousen 1994."""

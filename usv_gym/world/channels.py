@@ -21,9 +21,15 @@ __all__ = [
     "WIND_BIT",
 ]
 
-GPS, COMPASS, IMU = slice(0, 4), slice(4, 5), slice(5, 8)
+GPS = slice(0, 4)
+COMPASS = slice(4, 5)
+IMU = slice(5, 8)
 
-GPS_BIT, COMPASS_BIT, IMU_BIT, AHRS_BIT, WIND_BIT = 1, 2, 4, 8, 16
+GPS_BIT = 1
+COMPASS_BIT = 2
+IMU_BIT = 4
+AHRS_BIT = 8
+WIND_BIT = 16
 
 AXIS_BITS = {
     "gyro_x": 32,
@@ -35,18 +41,22 @@ AXIS_BITS = {
 }
 """Bit of each axis of the IMU alone."""
 
-FIXES_BIT, VELOCITY_BIT = 2048, 4096
+FIXES_BIT = 2048
+VELOCITY_BIT = 4096
 """Bits of the position and of the velocity of the GPS alone."""
 
-COMMANDS_BIT, STEERING_BIT = 8192, 16384
+COMMANDS_BIT = 8192
+STEERING_BIT = 16384
 """Bits of the commands as they are reported, and of the angles among them alone."""
 
-LEFT_BIT, RIGHT_BIT = 32768, 65536
+LEFT_BIT = 32768
+RIGHT_BIT = 65536
 """Bits of the thrusters of the boat."""
 
 _AXES = {name: IMU_BIT | bit for name, bit in AXIS_BITS.items()}
 
-_FIX, _VELOCITY = GPS_BIT | FIXES_BIT, GPS_BIT | VELOCITY_BIT
+_FIX = GPS_BIT | FIXES_BIT
+_VELOCITY = GPS_BIT | VELOCITY_BIT
 _ANGLE = COMMANDS_BIT | STEERING_BIT
 
 BITS = (

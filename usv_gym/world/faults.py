@@ -89,7 +89,8 @@ FAULT_KINDS = {
 ``commands`` are those that are reported, ``steering`` the angles among them; the boat does as it
 was told. ``left`` and ``right`` are thrusters of the boat."""
 
-REPORTED, THRUSTERS = ("commands", "steering"), ("left", "right")
+REPORTED = ("commands", "steering")
+THRUSTERS = ("left", "right")
 """Kinds that strike what a twin is told of the commands, and what the boat makes of them."""
 
 SENSOR_KINDS = tuple(kind for kind in FAULT_KINDS if kind not in (*REPORTED, *THRUSTERS))

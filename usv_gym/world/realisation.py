@@ -128,7 +128,8 @@ def sum_regression(given: np.ndarray, to: float, L: float, weight: float, sums: 
         sums[j] *= weight
 
 
-_HEAVE, _PITCH = 2, 4
+_HEAVE = 2
+_PITCH = 4
 
 
 def load_rows(vessel: Vessel, rows: Array) -> Array:

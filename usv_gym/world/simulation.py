@@ -70,7 +70,8 @@ PLACE_MAX = 1e6
 
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
 
-_KIND_AT, _SEA_AT = field_at(WORLD, "kind"), field_at(WORLD, "sea")
+_KIND_AT = field_at(WORLD, "kind")
+_SEA_AT = field_at(WORLD, "sea")
 
 _COMPASS_AT, _GYRO_AT = (field_at(sensors.NOISE, name) for name in ("compass", "gyro"))
 _NUMBERS = (

@@ -68,7 +68,8 @@ SEA = np.dtype(
 )
 """A sea state as kernels draw one sea of it."""
 
-_WEATHER_AT, _SEA_WEATHER_AT = field_at(BOAT, "weather"), field_at(SEA, "weather")
+_WEATHER_AT = field_at(BOAT, "weather")
+_SEA_WEATHER_AT = field_at(SEA, "weather")
 _WEATHER_SIZE = record_size(WEATHER)
 
 

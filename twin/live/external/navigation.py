@@ -34,7 +34,8 @@ STATES = {
 }
 """States of external navigation, and what they mean."""
 
-SET_SOURCE, REQUEST_MESSAGE = 42007, 512
+SET_SOURCE = 42007
+REQUEST_MESSAGE = 512
 """Commands MAV_CMD_SET_EKF_SOURCE_SET and MAV_CMD_REQUEST_MESSAGE."""
 
 ORIGIN_MESSAGE = 49
@@ -43,7 +44,9 @@ ORIGIN_MESSAGE = 49
 GPS_SOURCE, TWIN_SOURCE = 1, 2
 """Source sets of the EKF."""
 
-HEARTBEAT, ORIGIN_EVERY, RETRY = 1.0, 5.0, 0.5
+HEARTBEAT = 1.0
+ORIGIN_EVERY = 5.0
+RETRY = 0.5
 """Times between heartbeats, questions for the origin, and orders without an answer, s."""
 
 LOSS_S = 1.0
@@ -58,7 +61,8 @@ LONGEST_INTERVAL = 2.0
 MOVES = 0.3
 """Speed from which on a boat teaches its twin something, m/s."""
 
-AGREE_M, AGREE_S = 2.0, 3.0
+AGREE_M = 2.0
+AGREE_S = 3.0
 """Twin and GPS agree when they have been so near to each other for so long."""
 
 _SLACK = 1e-6

@@ -37,7 +37,8 @@ WAIT = 0.1
 NO_FIX = 2
 """Least ``fix_type`` of a place on the Earth."""
 
-SET_INTERVAL, ASK_EVERY = 511, 10.0
+SET_INTERVAL = 511
+ASK_EVERY = 10.0
 """Command MAV_CMD_SET_MESSAGE_INTERVAL, and the time, s, after which it is given again."""
 
 INTERVALS = {30: 0.05, 27: 0.05, 36: 0.05, 24: 0.2}

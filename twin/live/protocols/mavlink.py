@@ -48,7 +48,9 @@ DIALECT = "pymavlink.dialects.v20.ardupilotmega"
 
 WRAP = 2.0**32
 
-UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
+UNKNOWN_SPEED = 2**15 - 1
+UNKNOWN_PLACE = 2**31 - 1
+UNKNOWN_HEADING = 2**16 - 1
 
 NEAR = 5.0
 """A servo output whose time differs by more than this, s, from the last one has another clock."""
@@ -64,7 +66,8 @@ _IMU_PARTS = (
 
 ALL_PARTS = 2 ** len(_IMU_PARTS) - 1
 
-AUTOPILOT, ONBOARD = 1, 191
+AUTOPILOT = 1
+ONBOARD = 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
 
 

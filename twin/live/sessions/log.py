@@ -38,10 +38,13 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-MOMENTS, MOST_APART = 4000, 2.0
+MOMENTS = 4000
+MOST_APART = 2.0
 """About so many predictions of a run are kept, and not farther apart than this, s."""
 
-BEHIND, TRACK, FIXES = 4000, 400, 400
+BEHIND = 4000
+TRACK = 400
+FIXES = 400
 """The track of so many rows is drawn with about so many points, and so many fixes."""
 
 

@@ -38,19 +38,23 @@ PLAN_STEP = 0.25
 CURRENT = "C_north", "C_east"
 """Parameters of a model that are the velocity of the water."""
 
-FIXES, TRACK = 400, 1500
+FIXES = 400
+TRACK = 1500
 """Fixes and points of the track that are kept to be drawn."""
 
-HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
+HISTORY_STEP = 0.5
+HISTORY_ROWS = 1200
 """Time between two rows of the curves at first, s, and how many rows make them half as dense."""
 
-INTERVALS_MISSED, LOST_AFTER_S = 3.0, 0.5
+INTERVALS_MISSED = 3.0
+LOST_AFTER_S = 0.5
 """A sensor counts as lost after so many nominal intervals, and at least so much time."""
 
 SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
 
-GAP, NEW_AFTER = 1.0, 30.0
+GAP = 1.0
+NEW_AFTER = 30.0
 """Gap between rows, s: after the first no errors are computed, after the second the curves begin
 again."""
 

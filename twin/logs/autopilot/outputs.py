@@ -22,7 +22,10 @@ __all__ = [
     "particulars_of_parameters",
 ]
 
-STEERING, THROTTLE, THROTTLE_LEFT, THROTTLE_RIGHT = 26, 70, 73, 74
+STEERING = 26
+THROTTLE = 70
+THROTTLE_LEFT = 73
+THROTTLE_RIGHT = 74
 """Values of SERVOx_FUNCTION.
 Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html"""
 

@@ -39,7 +39,8 @@ Cells = Mapping[str, Sequence[str]]
 
 _DAY = 86400.0
 
-_DAY_STEP, _DAY_LEAST = 5e-4, 2e4
+_DAY_STEP = 5e-4
+_DAY_LEAST = 2e4
 """Numbers above the second that rise by less than the first are days, not seconds: no log has 2000
 rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
 

@@ -56,7 +56,8 @@ FORMAT = 1
 PATCH = 4
 """Grid steps in a token."""
 
-PAST, AHEAD = 40, 10
+PAST = 40
+AHEAD = 10
 """Tokens of the past and of the plan, s."""
 
 MEANS = (1, 8, 32, 80)
@@ -71,12 +72,17 @@ SENSORS = (0, 4, 5)
 ROW = 17
 """Columns of a history: states, commands, actuators, masks."""
 
-PER_ROW, ABOUT = 13, 6
+PER_ROW = 13
+ABOUT = 6
 
 MASKS = slice(14, ROW)
 """Masks in a row of a history."""
 
-MOTION, COS, SIN, FRESH, KNOWN = slice(0, 3), 3, 4, slice(5, 8), 8
+MOTION = slice(0, 3)
+COS = 3
+SIN = 4
+FRESH = slice(5, 8)
+KNOWN = 8
 """In a row of a token: velocities, heading, masks, whether the row is known."""
 
 THRUST, DIFFERENCE, SIDE_FORCE, ANGLES = range(KNOWN + 1, PER_ROW)
@@ -91,7 +97,8 @@ TOKEN = PATCH * PER_ROW + ABOUT
 INPUT_MAX = 6.0
 """Bound of an input: the nets are not asked to extrapolate further."""
 
-CENTRE, SCALE = np.array([0.8, 0.0, 0.0]), np.array([3.0, 5.0, 4.0])
+CENTRE = np.array([0.8, 0.0, 0.0])
+SCALE = np.array([3.0, 5.0, 4.0])
 """Centre and scale of the inputs u, v, r over their typical size."""
 
 STEP = 0.5
