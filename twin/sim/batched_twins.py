@@ -442,6 +442,14 @@ class CompiledTwins(TwinObserver):
         """Whether the kernels write observations; None where that may differ between them."""
         self.by_block = not self._single
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become a copy; a copied predictor has laid out its memory anew."""
+        vars(self).update(state)
+        if self._single:
+            own = self._predictor.memory
+            self.memory = type(own)(*(array[None] for array in own))
+            self._all = [(each[0], tuple(self.memory), *each[2:]) for each in self._all]
+
     @property
     def boats(self) -> dict[str, Any]:
         """What the twins remember, by name: ``boats["filter"]["P"]`` is (n, 6 + p, 6 + p)."""

@@ -23,9 +23,12 @@ def _address(shown: Any) -> int:
 
 
 def _owner(shown: Any) -> Any:
-    """Return the array whose memory an array or record shows; None if that is its own."""
+    """Return the array whose memory an array or record shows; None if that is its own.
+
+    The memory of an array that was unpickled is that of ``bytes``, or its own.
+    """
     base = shown.base
-    while isinstance(base, (np.ndarray, np.void)) and base.base is not None:
+    while isinstance(base, (np.ndarray, np.void)) and isinstance(base.base, (np.ndarray, np.void)):
         base = base.base
     shares = isinstance(base, np.ndarray) and base.flags.c_contiguous and shown.nbytes > 0
     return base if shares else None

@@ -158,11 +158,38 @@ class BoatsAtSea:
         Wrappers keep what is theirs, such as the steps that a time limit has counted; copies
         (``copy.deepcopy``, ``pickle``) hold that as well.
         """
-        return packed(vars(self))
+        return packed((self._kind(), vars(self)))
 
     def set_state(self, state: bytes) -> None:
-        """Go on from what :meth:`get_state` of this environment, or of a copy, returned."""
-        vars(self).update(unpacked(state))
+        """Go on from what :meth:`get_state` of this environment, or of one like it, returned.
+
+        UsvTwinError: it is no such state, or that of an environment with other options.
+        """
+        try:
+            kind, found = unpacked(state)
+        except Exception as error:  # bytes of anything may raise anything
+            raise UsvTwinError(
+                f"set_state takes what get_state returned, not {state!r:.40}: {error}"
+            ) from None
+        for name, own in self._kind().items() if "episodes" in vars(self) else ():
+            if kind[name] != own:
+                raise UsvTwinError(
+                    f"set_state: the state is that of another environment, with {name} = "
+                    f"{kind[name]!r:.200}; here it is {own!r:.200}"
+                )
+        vars(self).update(found)
+
+    def _kind(self) -> dict[str, Any]:
+        """Return what environments must have in common to take each other's states."""
+        return {
+            "vessel": repr(self.vessel),
+            "sea": repr(self.seas),
+            "task": type(self.task).__name__,
+            "dof": self.simulation.dof,
+            "num_envs": self.episodes.n,
+            "observation": self.observation_names,
+            "observer": type(self.observer).__name__,
+        }
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Return how a copy is made, for :mod:`copy` and :mod:`pickle`."""

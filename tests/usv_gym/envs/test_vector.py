@@ -15,6 +15,7 @@ import usv_gym  # noqa: F401 - registers the environment
 from usv_gym import SeaState
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.faults import Fault
+from usv_kernel.errors import UsvTwinError
 
 N = 3
 FAULTS = "gps3@2+imu-spikes-random"
@@ -234,8 +235,30 @@ def test_an_episode_branches_in_two_that_go_on_with_the_same_bits(n, options):
     env.unwrapped.set_state(state)
     if not n:
         env = env.unwrapped  # the time limit counts by itself
-    for one, two in zip(want[:6], sailed(env, last[:1]), strict=True):
+    # a copy of a copy of it goes on alike, and a new episode is as new
+    state = env.unwrapped.get_state()
+    env.unwrapped.set_state(state)
+    for again in (copy.deepcopy(env), env):
+        for one, two in zip(want[:6], sailed(again, last[:1]), strict=True):
+            np.testing.assert_array_equal(one, two)
+    fresh = natives(n, **options) if n else gym.make("USVTwin-v0", **options).unwrapped
+    fresh.reset(seed=5)
+    env.reset(seed=5)
+    for one, two in zip(sailed(fresh, steps[:5]), sailed(env, steps[:5]), strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("options", [{"sea": "5"}, {"vessel": "otter"}, {"twin": "ukf"}])
+def test_states_of_other_environments_and_what_is_none_are_refused(options):
+    env = gym.make("USVTwin-v0", twin=None).unwrapped
+    other = gym.make("USVTwin-v0", **{"twin": None, **options}).unwrapped
+    for one in (env, other):
+        one.reset(seed=0)
+    with pytest.raises(UsvTwinError, match="another environment, with"):
+        env.set_state(other.get_state())
+    for wrong in (b"abc", {"x": 1}, None):
+        with pytest.raises(UsvTwinError, match="what get_state returned"):
+            env.set_state(wrong)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
