@@ -90,13 +90,22 @@ class Spec(EnvSpec):
 
     def to_json(self) -> str:
         """Return it as JSON, where no option is an object that has none."""
-        try:
-            return super().to_json()
-        except TypeError as error:
+        plain = {
+            name: value.tolist() if isinstance(value, (np.generic, np.ndarray)) else value
+            for name, value in self.kwargs.items()
+        }
+        without = []
+        for name, value in plain.items():
+            try:
+                EnvSpec.to_json(dataclasses.replace(self, kwargs={name: value}))
+            except TypeError:
+                without.append(name)
+        if without:
             raise UsvTwinError(
-                f"spec.to_json(): {error}. Of gym.make's {', '.join(self.kwargs)} one is an object "
-                "that has no JSON: give a vessel by its name or file, a task as 'module:Class'"
-            ) from None
+                f"spec.to_json(): {' and '.join(without)} of gym.make: an object that has no JSON; "
+                "give a vessel by its name or file, a task as 'module:Class'"
+            )
+        return EnvSpec.to_json(dataclasses.replace(self, kwargs=plain))
 
 
 class BoatsAtSea:

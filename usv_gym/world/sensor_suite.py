@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.world.faults import FaultError
-from usv_kernel.errors import is_finite
+from usv_kernel.errors import check_options, is_finite
 from usv_kernel.records import Record
 from usv_kernel.scalar import rotation
 
@@ -237,10 +238,14 @@ class SensorSuite:
         return GRADES[name]
 
     @classmethod
-    def of(cls, suite: str | SensorSuite | None) -> SensorSuite:
-        """Return a suite by the name of its grade (or the one handed in; None: the typical one)."""
+    def of(cls, suite: str | SensorSuite | Mapping[str, Any] | None) -> SensorSuite:
+        """Return a suite by the name of its grade or by its fields; None: the typical one."""
         if suite is None:
             return cls()
+        if isinstance(suite, Mapping):  # as in the JSON of an environment
+            check_options("suite", suite, [item.name for item in dataclasses.fields(cls)])
+            table: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in suite.items()}
+            return cls(**table)
         return suite if isinstance(suite, SensorSuite) else cls.grade(suite)
 
     def pack(self, dt: float) -> Record:

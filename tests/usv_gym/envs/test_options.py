@@ -187,6 +187,16 @@ def test_an_environment_with_faults_is_made_again_from_the_json_of_its_spec(faul
         np.testing.assert_array_equal(env.step(action)[0], again.step(action)[0])
 
 
+def test_sensors_and_numbers_of_numpy_are_made_again_from_the_json_of_a_spec() -> None:
+    suite = SensorSuite(gps_white=0.7, gps_arm=(0.5, 0.0, -1.0))
+    env = make(False, suite=suite, load=np.float32(0.75), frame_skip=np.int64(2))
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))  # type: ignore[union-attr]
+    assert again.unwrapped.simulation.suite == suite
+    assert again.unwrapped.episodes.frame_skip == 2
+    with pytest.raises(UsvTwinError, match="gps_wite"):
+        make(False, suite={"gps_wite": 0.7})
+
+
 @pytest.mark.parametrize("vector", [False, True])
 @pytest.mark.parametrize("name", ["vessel", "task"])
 def test_a_spec_with_an_object_that_has_no_json_names_the_remedy(name: str, vector: bool) -> None:
