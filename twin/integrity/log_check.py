@@ -202,7 +202,7 @@ def check_recording(recording: Recording, particulars: Particulars | None = None
 
 
 def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
-    recording, found = without_marks(recording)
+    recording, found = without_marks(recording, particulars)
     found += check_time(recording) + check_cells(recording)
     base = Instruments() if particulars is None else particulars.instruments
     if len(recording.t) < MANY:
