@@ -55,8 +55,8 @@ from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
 from twin.integrity.state import SENSORS as CHECKED
 from twin.integrity.transforms import Trial, explain, measured, unseen
 from twin.logs.checks import in_degrees
+from twin.logs.datum import FEW
 from twin.logs.errors import LogError
-from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
 from twin.logs.signals import runs_of

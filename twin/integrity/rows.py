@@ -21,7 +21,8 @@ from twin.logs.clock import (
     wild_stamps,
 )
 from twin.logs.columns import SHARE, UNITS
-from twin.logs.jumps import FAST_MPS, FEW, find_jumps
+from twin.logs.datum import FEW
+from twin.logs.jumps import FAST_MPS, find_jumps
 from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
 from twin.particulars import Particulars

@@ -293,8 +293,8 @@ TABLE: tuple[Hypothesis, ...] = (
     _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
     _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
     Hypothesis("sign", "commands", "the shaft speeds have the wrong sign", MINUS, SHAFTS, _map(SHAFTS, -np.eye(2))),
-    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, "
-               "or in [skid_steering] multiply scale and offset of steering by -1",
+    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, or "
+               "in [skid_steering] multiply scale and offset of steering by -1",
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
     Hypothesis("sign", "steering", "steering to starboard turns to port", MINUS,
                STEERING, _map(STEERING, -np.eye(2))),
