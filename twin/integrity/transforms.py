@@ -244,7 +244,8 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("offset", "compass", "the compass sits back to front",
                PLUS.format(value=3.1416), COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
-              f'{PLUS} (with frame = "enu" subtract it): variation, or a sensor askew', COMPASS, _shifted(*COMPASS), ASKEW),
+              f'{PLUS} (with frame = "enu" subtract it): variation, or a sensor askew',
+              COMPASS, _shifted(*COMPASS), ASKEW),
     *(each for vectors, sensor in (
         ((FIX,), "fixes"), ((VELOCITY,), "velocity"), ((FIX, VELOCITY), "gps"), ((GYROS,), "gyro"),
         ((GYROS[2:],), "gyro"), ((FORCES,), "accelerometers"), ((FORCES[:2],), "accelerometers"),
@@ -286,15 +287,17 @@ TABLE: tuple[Hypothesis, ...] = (
     *(Hypothesis("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
                 _scaled(name), SCALES) for name in GYROS),
     Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
-              "subtract {value} from offset there in the mapping", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
+              "subtract {value} from offset there in the mapping", GYROS[2:],
+              _shifted(GYROS[2], -1.0), ZERO),
     *(_opposite("sign", "ahrs", f"{' and '.join(pair)} with the wrong sign", pair)
       for pair in zip(ANGLES, GYROS[:2], strict=True)),
     _opposite("sign", "height", "gps_z_m is above 0 upwards", HEIGHT),
     _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
     _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
-    Hypothesis("sign", "commands", "the shaft speeds have the wrong sign", MINUS, SHAFTS, _map(SHAFTS, -np.eye(2))),
-    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, or "
-               "in [skid_steering] multiply scale and offset of steering by -1",
+    Hypothesis("sign", "commands", "the shaft speeds have the wrong sign", MINUS, SHAFTS,
+               _map(SHAFTS, -np.eye(2))),
+    Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, "
+               "or in [skid_steering] multiply scale and offset of steering by -1",
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
     Hypothesis("sign", "steering", "steering to starboard turns to port", MINUS,
                STEERING, _map(STEERING, -np.eye(2))),

@@ -491,8 +491,10 @@ def test_an_east_of_german_that_is_a_west_of_french_is_asked(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("heading", "asked"),
-    [("heading_mag", True), ("heading_magnetic", True), ("Heading (mag)", True)]
-    + [("magnetic heading", True), ("heading_true", False), ("hdg", False)],
+    [
+        *((name, True) for name in ("heading_mag", "heading_magnetic", "Heading (mag)")),
+        *(("magnetic heading", True), ("heading_true", False), ("hdg", False)),
+    ],
 )
 def test_a_magnetic_heading_is_asked_for_its_variation(
     tmp_path: Path, heading: str, asked: bool
