@@ -438,7 +438,7 @@ def without_marks(
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"
         if sensor in COMMANDS:
-            remedy = "name these numbers of the file in the mapping, such as empty = [0, 65535]"
+            remedy = f"name them in the mapping, as empty = [0, 65535], or {remedy}"
         severity = WARNING if len(rows) < FEW * count or OPTIONAL.issuperset(names) else ERROR
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
         found.append(Finding(severity, "mark", what, remedy, sensor, float(values[row]), **span))

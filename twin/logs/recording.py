@@ -121,12 +121,10 @@ class Recording:
         self, names: Iterable[str], rows: slice | npt.NDArray[Any] = slice(None)
     ) -> Recording:
         """Return a recording without some columns, in all rows or some; a command is the last."""
-        z, cmd = self.z.copy(), self.cmd.copy()
-        for name in names:
-            if name in MEASUREMENTS:
-                z[rows, MEASUREMENTS.index(name)] = np.nan
-            elif name in COMMANDS:
-                cmd[rows, COMMANDS.index(name)] = np.nan
+        table, columns = np.column_stack([self.z, self.cmd]), (*MEASUREMENTS, *COMMANDS)
+        for name in {*names}.intersection(columns):
+            table[rows, columns.index(name)] = np.nan
+        z, cmd = np.hsplit(table, [len(MEASUREMENTS)])
         return dataclasses.replace(self, z=z, cmd=held(cmd))
 
     def samples(self, *names: str) -> tuple[Array, Array]:
