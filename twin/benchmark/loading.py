@@ -10,7 +10,9 @@ import numpy as np
 
 from twin.benchmark.protocol import Settings, Unit
 from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END, WIND_FROM, WIND_SPEED
+from twin.integrity.rows import without_marks
 from twin.logs.log import Log
+from twin.logs.recording import Recording
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.recorded import read_run
@@ -23,6 +25,7 @@ __all__ = [
     "Run",
     "fault_start",
     "load_run",
+    "measured_truth",
     "recorded_identify_s",
     "with_faults",
 ]
@@ -52,6 +55,12 @@ def recorded_identify_s(log: Log) -> float:
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
 
 
+def measured_truth(log: Log) -> tuple[Log, tuple[str, ...]]:
+    """Return a log to score against, without absurd samples, and a line on each sensor's."""
+    kept, found = without_marks(Recording(log.t, log.z, np.zeros_like(log.cmd), log.t))
+    return dataclasses.replace(log, z=kept.z), tuple(each.what for each in found)
+
+
 class Run(NamedTuple):
     """A run: what predictors get, and what they are scored against."""
 
@@ -61,6 +70,7 @@ class Run(NamedTuple):
     identify: float  # time of the first prediction, s
     # vessel, sea and degrees of freedom for an oracle; empty for a recorded run
     simulator: tuple[Any, ...]
+    absurd: tuple[str, ...] = ()  # lines on samples that the reference lacks
 
 
 def load_run(settings: Settings, unit: Unit) -> Run:
@@ -70,7 +80,9 @@ def load_run(settings: Settings, unit: Unit) -> Run:
         identify = recorded_identify_s(log)
         # starts of faults count from the first row
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-        return Run(seen.without_truth(), log, particulars, identify + float(log.t[0]), ())
+        start = identify + float(log.t[0])
+        reference, absurd = measured_truth(log)
+        return Run(seen.without_truth(), reference, particulars, start, (), absurd)
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
     identify, duration = settings.identify_s, settings.duration_s
     if unit.scenario == MISSION:

@@ -169,6 +169,7 @@ def run_unit(
         "skipped": skipped,
         "loss_ends": ended,
         "repairs": list(run.reference.notes),
+        "absurd": list(run.absurd),
         "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
     if held_errors:
@@ -410,6 +411,7 @@ def collect(
         "logs": {
             result["unit"]["scenario"]: {
                 "repairs": result["repairs"],
+                "absurd": result["absurd"],
                 "skipped": result["skipped"],
                 **result.get("past_commands", {}),
                 "datum": result.get("datum"),

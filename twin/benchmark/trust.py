@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.benchmark.loading import measured_truth
 from twin.benchmark.protocol import BenchmarkError
 from twin.benchmark.scores import Reference, score
 from twin.channels import MEASUREMENTS
@@ -310,7 +311,7 @@ class TrustMeter:
             float
         )  # s, by sensor and status
         try:
-            self._reference: Reference | None = Reference(log)
+            self._reference: Reference | None = Reference(measured_truth(log)[0])
         except BenchmarkError:
             self._reference = None
         first, last = float(log.t[0]), float(log.t[-1])

@@ -309,6 +309,8 @@ def print_scores(results: dict[str, Any]) -> None:
         console.print(line, highlight=False, soft_wrap=True)
     _print_recorded_verdict(results)
     for name, log in results.get("logs", {}).items():
+        for line in log["absurd"]:
+            note(f"{name}: {line}: no truth to score against")
         parts = []
         if log["repairs"]:
             parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")

@@ -55,8 +55,8 @@ from twin.integrity.state import DOUBTFUL, EXCLUDED, FROZEN, IMPOSSIBLE, REASONS
 from twin.integrity.state import SENSORS as CHECKED
 from twin.integrity.transforms import Trial, explain, measured, unseen
 from twin.logs.checks import in_degrees
+from twin.logs.datum import FEW
 from twin.logs.errors import LogError
-from twin.logs.jumps import FEW
 from twin.logs.log import Log, assemble, read_table
 from twin.logs.recording import Recording
 from twin.logs.signals import runs_of
@@ -202,7 +202,7 @@ def check_recording(recording: Recording, particulars: Particulars | None = None
 
 
 def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
-    recording, found = without_marks(recording)
+    recording, found = without_marks(recording, particulars)
     found += check_time(recording) + check_cells(recording)
     base = Instruments() if particulars is None else particulars.instruments
     if len(recording.t) < MANY:

@@ -21,7 +21,8 @@ from twin.logs.clock import (
     wild_stamps,
 )
 from twin.logs.columns import SHARE, UNITS
-from twin.logs.jumps import FAST_MPS, FEW, find_jumps
+from twin.logs.datum import FEW
+from twin.logs.jumps import FAST_MPS, find_jumps
 from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
 from twin.particulars import Particulars
@@ -395,26 +396,36 @@ def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
     return recording, found
 
 
-def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
+def without_marks(
+    recording: Recording, particulars: Particulars | None = None
+) -> tuple[Recording, list[Finding]]:
     """Return a recording without samples that are absurdly far from the others, and findings.
 
     Such are glitches, and numbers that stand for "no value". These may come often: so each distinct
-    value counts once. Fixes have a rule of their own (:func:`without_leaps`).
+    value counts once. Fixes have a rule of their own (:func:`without_leaps`). A command is absurd
+    that is as far from the others, and from what the shafts of the boat or an angle can be.
     """
-    found = list[Finding]()
+    found, least = list[Finding](), dict(ABSURD_FROM)
+    if particulars is not None:
+        least["rps"] = ABSURD * particulars.shaft_speed
     others = ((name,) for name in MEASUREMENTS if name not in (*FIX, *VELOCITY))
-    for names in (VELOCITY, *others):
-        columns = [MEASUREMENTS.index(name) for name in names]
-        # made of speed and course, a mark is in both
-        values = recording.z[:, columns].T
-        values = np.hypot(*values) if names == VELOCITY else values[0]
-        middle = np.median(np.unique(values[np.isfinite(values)]))
-        size = np.abs(values - (0.0 if names == VELOCITY else middle))
+    for names in (VELOCITY, *others, COMMANDS[:2], COMMANDS[2:]):
+        table, sensor = np.column_stack([recording.z, recording.cmd]), names[0]
+        if sensor in COMMANDS:
+            least["rad"] = LARGE_ANGLE_RAD
+        # made of speed and course, or of throttle and steering, a mark is in both
+        values = table[:, [(*MEASUREMENTS, *COMMANDS).index(name) for name in names]].T
+        if names == VELOCITY:
+            values, sensor = np.hypot(*values)[None], "velocity"
+        values = np.take_along_axis(values, np.abs(values).argmax(axis=0)[None], axis=0)[0]
+        seen = np.unique(values[np.isfinite(values)])
+        middle = np.median(seen) if len(seen) else 0.0
+        size = np.abs(values - (0.0 if len(names) > 1 else middle))
         distinct = np.unique(size[np.isfinite(size)].round(9))
         if len(distinct) < ENOUGH:
             continue
         usual, unit = float(np.quantile(distinct, 1.0 - FEW)), names[0].rpartition("_")[2]
-        rows = np.flatnonzero(size > max(ABSURD * usual, ABSURD_FROM.get(unit, FAR)))
+        rows = np.flatnonzero(size > max(ABSURD * usual, least.get(unit, FAR)))
         if not len(rows):
             continue
         recording = recording.without(names, rows)
@@ -426,9 +437,10 @@ def without_marks(recording: Recording) -> tuple[Recording, list[Finding]]:
             '"no value"'
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"
+        if sensor in COMMANDS:
+            remedy = f"name them in the mapping, as empty = [0, 65535], or {remedy}"
         severity = WARNING if len(rows) < FEW * count or OPTIONAL.issuperset(names) else ERROR
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
-        sensor = "velocity" if names == VELOCITY else names[0]
         found.append(Finding(severity, "mark", what, remedy, sensor, float(values[row]), **span))
     return recording, found
 

@@ -96,10 +96,13 @@ class Hypothesis:
     cost: float = 0.0  # beyond that of any fault
     guess: bool = False  # whether what undoes it takes from other columns
 
-    @property
-    def severity(self) -> str:
-        """No fault of the columns that a twin does without is an error."""
+    def severity(self, size: float) -> str:
+        """No fault of the columns that a twin does without is an error.
+
+        A direction that is more than a quarter turn off is one: it points backwards.
+        """
         error = self.scan is None if self.error is None else self.error
+        error |= self.scan is ASKEW and abs(size) > QUARTER
         needed = {*ANGLES, *HEIGHT, *CLIMB}.isdisjoint(self.changed)
         return ERROR if error and needed else WARNING
 
@@ -169,7 +172,9 @@ def _units(sensor: str, *names: str) -> Iterator[Hypothesis]:
     """Return columns in another unit: of a mapping file, or hundreds or thousands."""
     own, given = names[0].rpartition("_")[2], ", ".join(names)
     for unit, factor in (UNITS[own] | {f"1e-2 {own}": 1e-2, f"1e-3 {own}": 1e-3}).items():
-        remedy = f'unit = "{unit}"' if unit in UNITS[own] else f"scale = {factor}"
+        remedy = (
+            f'unit = "{unit}"' if unit in UNITS[own] else f"multiply scale and offset by {factor}"
+        )
         ways = {f"in {unit}": (factor, f"{remedy} in the mapping")}
         if names == VELOCITY and unit in UNITS[own]:
             ways[f"{own} taken for {unit}"] = (1.0 / factor, "take the unit out of the mapping")
@@ -183,7 +188,7 @@ def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
     size, names = len(vectors[0]), tuple(itertools.chain(*vectors))
     remedy = "turn or exchange them in the mapping: " + (
         "x is north, y east"
-        + "; south and west are below 0: latitude or longitude with scale = -1.0"
+        + "; south and west are below 0: multiply the scale of latitude or longitude by -1"
         * (FIX[0] in names)
         if names[0] in (*FIX, *VELOCITY)
         else "x ahead, y to starboard, z down"
@@ -213,7 +218,7 @@ def _opposite(
 ) -> Hypothesis:
     """Return columns that all have the wrong sign; the first counts from an angle."""
     plus = [angle, *[0.0] * (len(names) - 1)]
-    remedy = 'scale = -1.0 there in the mapping, or frame = "enu" for all that runs from east'
+    remedy = f'{MINUS}, or frame = "enu" for all that runs from east'
     undo, cost = _map(names, -np.eye(len(names)), plus), COST * (len(names) - 1)
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
@@ -225,7 +230,8 @@ ZERO = _between(-0.3, 0.3, GYRO_ZERO_RADPS)
 DELAY = _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 STATED = "in [instruments] of the particulars"
-FACTOR, PLUS = "scale = {value} there in the mapping", "offset = {value} there in the mapping"
+FACTOR = "multiply scale and offset by {value} there in the mapping"
+MINUS, PLUS = FACTOR.format(value=-1), "add {value} to offset there in the mapping"
 
 TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "compass", "the heading is in degrees, not radians",
@@ -235,10 +241,11 @@ TABLE: tuple[Hypothesis, ...] = (
       for what, names in (("the heading runs", COMPASS),
                           ("heading and yaw rate run", (*COMPASS, GYROS[2])))
       for where, angle in (("", 0.0), (" from east", QUARTER), (" from west", -QUARTER))),
-    Hypothesis("offset", "compass", "the compass sits back to front", "offset = 3.1416 there in "
-               "the mapping", COMPASS, _map(COMPASS, [[1.0]], math.pi)),
+    Hypothesis("offset", "compass", "the compass sits back to front",
+               PLUS.format(value=3.1416), COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
-              f"{PLUS} (variation, or a sensor askew)", COMPASS, _shifted(*COMPASS), ASKEW),
+              f'{PLUS} (with frame = "enu" subtract it): variation, or a sensor askew',
+              COMPASS, _shifted(*COMPASS), ASKEW),
     *(each for vectors, sensor in (
         ((FIX,), "fixes"), ((VELOCITY,), "velocity"), ((FIX, VELOCITY), "gps"), ((GYROS,), "gyro"),
         ((GYROS[2:],), "gyro"), ((FORCES,), "accelerometers"), ((FORCES[:2],), "accelerometers"),
@@ -264,7 +271,7 @@ TABLE: tuple[Hypothesis, ...] = (
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
               _turned(VELOCITY), ASKEW),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
-               "offset = -9.81 there in the mapping: give the specific force as it is measured",
+               f"{PLUS.format(value=-9.81)}: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
               "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
@@ -280,19 +287,20 @@ TABLE: tuple[Hypothesis, ...] = (
     *(Hypothesis("scale", "gyro", f"{name} is {{size}} times too small", FACTOR, (name,),
                 _scaled(name), SCALES) for name in GYROS),
     Hypothesis("bias", "gyro", "the zero of the yaw rate is off by {size} rad/s",
-              f"{PLUS}, with the other sign", GYROS[2:], _shifted(GYROS[2], -1.0), ZERO),
+              "subtract {value} from offset there in the mapping", GYROS[2:],
+              _shifted(GYROS[2], -1.0), ZERO),
     *(_opposite("sign", "ahrs", f"{' and '.join(pair)} with the wrong sign", pair)
       for pair in zip(ANGLES, GYROS[:2], strict=True)),
     _opposite("sign", "height", "gps_z_m is above 0 upwards", HEIGHT),
     _opposite("sign", "climb", "gps_vz_mps is above 0 upwards", CLIMB),
     _opposite("sign", "height", "gps_z_m and gps_vz_mps are above 0 upwards", (*HEIGHT, *CLIMB)),
-    Hypothesis("sign", "commands", "the shaft speeds have the wrong sign",
-               "scale = -1.0 there in the mapping", SHAFTS, _map(SHAFTS, -np.eye(2))),
+    Hypothesis("sign", "commands", "the shaft speeds have the wrong sign", MINUS, SHAFTS,
+               _map(SHAFTS, -np.eye(2))),
     Hypothesis("sides", "commands", "left and right are swapped", "exchange them in the mapping, "
-               "or in [skid_steering] turn the sign of steering with scale = -1.0",
+               "or in [skid_steering] multiply scale and offset of steering by -1",
                SHAFTS, _map(SHAFTS, [[0.0, 1.0], [1.0, 0.0]])),
-    Hypothesis("sign", "steering", "steering to starboard turns to port",
-               "scale = -1.0 there in the mapping", STEERING, _map(STEERING, -np.eye(2))),
+    Hypothesis("sign", "steering", "steering to starboard turns to port", MINUS,
+               STEERING, _map(STEERING, -np.eye(2))),
     *(Hypothesis(code, side, what, "check this thruster, or its column in the mapping", SHAFTS,
                  _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_COST)
       for code, side, what, factors in (
@@ -425,7 +433,7 @@ def _finding(trial: Trial, rivals: list[Trial], latency: float) -> Finding:
     if rivals:
         other = rivals[0].hypothesis
         remedy += f"; or else: {other.words(other.what, rivals[0].size)}"
-    return Finding(each.severity, each.code, what, remedy, each.sensor, size, low, high)
+    return Finding(each.severity(size), each.code, what, remedy, each.sensor, size, low, high)
 
 
 def measured(s: Signals, base: Evidence, code: str, sensor: str) -> Trial | None:

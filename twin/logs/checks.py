@@ -11,8 +11,9 @@ from twin.channels import MEASUREMENTS, WIND_SPEED
 from twin.logs.agreement import gyro_on_compass, heading_on_track
 from twin.logs.clock import GAP_STEPS, set_back_remedy
 from twin.logs.columns import Array
+from twin.logs.datum import FEW
 from twin.logs.errors import LogError
-from twin.logs.jumps import FEW, find_jumps
+from twin.logs.jumps import find_jumps
 from twin.logs.readers import Table
 from twin.logs.recording import held, motion_of, repeated
 from twin.logs.signals import ENOUGH, runs_of

@@ -108,7 +108,8 @@ def _ahead(zone: str, quarter: float) -> float:
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"
     r"(?:\s*(?P<half>[AaPp]\.?[Mm]\.?))?(?P<gap>\s*)"
-    r"(?P<zone>Z|(?:UTC|GMT)?[+-]\d{2}(?::?\d{2})?|[A-Z]{2,5}|[A-Z][a-z]+/[A-Za-z_/]+)?$"
+    r"(?P<zone>Z|\(?(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?\)?|\(?[A-Z]{2,5}\)?|"
+    r"[A-Z][a-z]+/[A-Za-z_/]+)?$"
 )
 
 _COMPACT = re.compile(r"^(\d{8}|\d{6})([ T]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
@@ -251,7 +252,7 @@ _PARTS = {
     "%p": r"(?P<half>[AaPp])\.?[Mm]\.?",
     "%f": r"(?P<part>\d{1,9})",
     "%.f": r"(?:\.(?P<part>\d+))?",
-    "%z": r"(?P<zone>Z|[+-]\d{2}(?::?\d{2})?)",
+    "%z": rf"(?P<zone>{'|'.join(ZONES)}|[+-]\d{{1,2}}(?::?[0-5]\d)?)",
     "%Z": r"[A-Za-z]+",
     "%s": r"(?P<unix>-?\d+)",
     "%%": "%",
@@ -262,7 +263,7 @@ _ISO = re.compile(
     # with dashes or slashes, or without a mark where T follows
     rf"{_PARTS['%Y']}([-/]|(?=\d{{4}}T)){_PARTS['%m']}\2{_PARTS['%d']}"
     rf"(?:[T ]{_PARTS['%H']}(:|(?<=T\d\d)){_PARTS['%M']}(?:\6{_PARTS['%S']}{_PARTS['%.f']})?"
-    rf"(?:\s+(?=Z))?{_PARTS['%z']}?)?",
+    r"(?:\s+(?=Z))?(?P<zone>Z|[+-]\d{2}(?::?\d{2})?)?)?",
     re.ASCII,
 )
 
@@ -319,12 +320,11 @@ def _seconds(match: re.Match[str] | None) -> float:
     except ValueError:
         return math.nan
     micros = int((part.get("part") or "0")[:6].ljust(6, "0"))
-    zone = part.get("zone") or "Z"
-    ahead = 0
-    if zone != "Z":
-        ahead = 60 * int(zone[1:3]) + int(zone[-2:] if len(zone) > 3 else 0)
-        ahead = -ahead if zone[0] == "-" else ahead
-    whole = 86400 * days + 3600 * hour + 60 * (minute - ahead) + second
+    try:
+        ahead = int(ahead_of_utc(part.get("zone") or ""))
+    except LogError:
+        return math.nan
+    whole = 86400 * days + 3600 * hour + 60 * minute + second - ahead
     return (10**6 * whole + micros) * 1e-6
 
 
@@ -386,7 +386,12 @@ def date_formats(texts: Sequence[str]) -> list[DateFormat]:
         return []
     if all(re.match(r"\d{4}-\d{2}-\d{2}", text) for text in cells) and _fits(cells, ""):
         return [DateFormat("")]
-    found = [each for each in _candidates(cells[0]) if _fits(cells, each.format)]
+    forms = _candidates(cells[0])
+    found = [each for each in forms if _fits(cells, each.format)]
+    if not found:  # at the change of clocks the name of the zone changes
+        name = re.compile(r"(?<=[\s(])[A-Z]{2,5}(?=\)?$)")
+        forms = [DateFormat(name.sub("%#z", each.format), each.order) for each in forms]
+        found = [each for each in forms if _fits(cells, each.format)]
     if len(found) == 2:
         # of two, the one in which the log would jump by a month is wrong
         spans = [_span(cells, each.format) for each in found]
@@ -439,9 +444,10 @@ def _candidates(text: str) -> list[DateFormat]:
         if match["half"]:
             clock += (" " if re.search(r"\s[AaPp]", tail) else "") + "%p"
         if name := match["zone"]:
-            ahead = re.search(r"^Z$|[+-].*", name)
-            clock += match["gap"][:1] + (name[: ahead.start()] + "%#z" if ahead else name)
-            zone = "" if ahead or ZONES.get(name) == "+00:00" else name
+            ahead, plain = re.search(r"^Z$|[+-][\d:]*", name), name.strip("()")
+            clock += match["gap"][:1]
+            clock += f"{name[: ahead.start()]}%#z{name[ahead.end() :]}" if ahead else name
+            zone = "" if ahead or ZONES.get(plain) == "+00:00" else plain
     return [DateFormat(form + clock, order, zone) for form, order in _days(day)]
 
 

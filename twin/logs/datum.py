@@ -15,11 +15,13 @@ from twin.logs.errors import LogError
 
 __all__ = [
     "DATUM",
+    "FEW",
     "FIXES",
     "Datum",
     "Plane",
     "from_minutes",
     "in_minutes",
+    "odd_minutes",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -29,6 +31,9 @@ DATUM = ("datum_latitude_deg", "datum_longitude_deg", "datum_epoch_s")
 
 FIXES = ("latitude_deg", "longitude_deg")
 """Columns that only place a log whose positions are in metres: where each fix was."""
+
+FEW = 0.1
+"""At most this share of the samples are single faults."""
 
 _MISFIT = 5.0
 _MISFIT_SHARE = 0.005
@@ -40,12 +45,15 @@ _LAST_YEAR = 253402300799.0
 
 
 def in_minutes(latitude: Array, longitude: Array) -> bool:
-    """Return whether numbers can be degrees and minutes in one, ddmm.mm, as NMEA has them."""
-    sizes = [np.abs(each[np.isfinite(each)]) for each in (latitude, longitude)]
-    return all(
-        bool((size <= most).all() and (size % 100.0 < 60.0).all())
-        for size, most in zip(sizes, (9000.0, 18000.0), strict=True)
-    )
+    """Return whether most numbers can be degrees and minutes in one, ddmm.mm, as NMEA has them."""
+    pairs = (latitude, 9000.0), (longitude, 18000.0)
+    return all(odd_minutes(*each).sum() <= FEW * np.isfinite(each[0]).sum() for each in pairs)
+
+
+def odd_minutes(values: Array, most: float) -> npt.NDArray[np.bool_]:
+    """Return which numbers are no degrees and minutes in one, of up to ``most``."""
+    size = np.abs(values)
+    return np.asarray((size > most) | (size % 100.0 >= 60.0))
 
 
 def from_minutes(values: Array) -> Array:

@@ -10,14 +10,11 @@ import numpy.typing as npt
 from twin.logs.columns import Array
 from twin.logs.signals import ways
 
-__all__ = ["FAST_MPS", "FEW", "TYPICAL", "Jumps", "find_jumps"]
+__all__ = ["FAST_MPS", "TYPICAL", "Jumps", "find_jumps"]
 
 _JUMP = 50.0
 FAST_MPS = 30.0
 """Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
-
-FEW = 0.1
-"""At most this share of the samples are single faults."""
 
 _PIECES = 1000
 """Most pieces between jumps that are joined to a track."""

@@ -120,11 +120,12 @@ class Recording:
     def without(
         self, names: Iterable[str], rows: slice | npt.NDArray[Any] = slice(None)
     ) -> Recording:
-        """Return a recording without some measurements, in all rows or some."""
-        z = self.z.copy()
-        for name in {*names}.intersection(MEASUREMENTS):
-            z[rows, MEASUREMENTS.index(name)] = np.nan
-        return dataclasses.replace(self, z=z)
+        """Return a recording without some columns, in all rows or some; a command is the last."""
+        table, columns = np.column_stack([self.z, self.cmd]), (*MEASUREMENTS, *COMMANDS)
+        for name in {*names}.intersection(columns):
+            table[rows, columns.index(name)] = np.nan
+        z, cmd = np.hsplit(table, [len(MEASUREMENTS)])
+        return dataclasses.replace(self, z=z, cmd=held(cmd))
 
     def samples(self, *names: str) -> tuple[Array, Array]:
         """Return times (M,) and new samples (M, k) of measurements that come together.

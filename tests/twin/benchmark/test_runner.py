@@ -193,6 +193,27 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     )
 
 
+def test_absurd_samples_are_no_truth_to_score_against(tmp_path):
+    recorded = recorded_runs()["boat1_usv_circle"]
+    log = Log.read(recorded)
+    velocities, headings = (np.flatnonzero(np.isfinite(log.z[:, j])) for j in (2, 4))
+    z = log.z.copy()
+    z[velocities[len(velocities) * 3 // 4], 2:4] = 655.35
+    z[headings[len(headings) * 3 // 4], 4] = 65535.0
+    dataclasses.replace(log, z=z).write(tmp_path / "wild.csv")
+    path = str(tmp_path / "wild.csv")
+    settings = dataclasses.replace(
+        SMALL, scenarios=(), logs=(path,), ship=str(recorded.with_name("boat1_usv_circle.toml"))
+    )
+    run = load_run(settings, Unit("wild", "none", 0, "persistence", path))
+    assert np.nanmax(np.abs(run.reference.z[:, 2:5])) < 100.0
+    assert np.nanmax(run.seen.z[:, 2]) == 655.35
+    assert [line.partition(":")[0] for line in run.absurd] == [
+        "gps_vx_mps, gps_vy_mps",
+        "compass_rad",
+    ]
+
+
 @pytest.mark.parametrize("backend", ["loky", "threading", "dask", "ray"])
 def test_workers_change_nothing(small, tmp_path, backend):
     pytest.importorskip(BACKENDS[backend], reason=f"{backend} is not installed")

@@ -30,7 +30,7 @@ from tests.twin.integrity.damaged import (
 )
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.cli.pictures import draw_check
-from twin.integrity.findings import NOTE, WARNING, Finding
+from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.integrity.log_check import LogCheck, check_recording
 from twin.logs.datasets import known_ship
 from twin.logs.log import read_table
@@ -120,6 +120,42 @@ def test_an_absurd_velocity_is_named_and_no_other_fault(knots: float, rows: int,
     found = finding(check, "mark:velocity")
     assert found.size == pytest.approx(knots * 1852.0 / 3600.0) and f"({knots:g} kn)" in found.what
     assert check.agreed == pytest.approx(check_recording(recording(log), boat).agreed, abs=0.02)
+
+
+def test_marks_among_the_commands_are_named_and_no_other_fault() -> None:
+    """Pulse widths of 65535 and 0 us, mapped by 0.02 per us from 1500 us."""
+
+    def unknown(data: dict[str, np.ndarray]) -> None:
+        for row, pulse in ((1000, 65535.0), (2000, 0.0)):
+            for name in COMMANDS[:2]:
+                data[name][row : row + 3] = 20.0 * (0.02 * pulse - 30.0)
+
+    log, boat = sound(*RUNS["otter"])
+    check = check_recording(recording(log, unknown), boat)
+    assert serious(check) == {"mark:n_left_rps"}
+    found = finding(check, "mark:n_left_rps")
+    assert "empty = [0, 65535]" in found.remedy
+    assert (found.start, found.end) == pytest.approx((log.t[1000], log.t[2002]))
+
+
+def test_remedies_of_scale_and_offset_hold_over_those_of_the_mapping() -> None:
+    """A mapping may have scale and offset: a remedy says how these change, not what they are."""
+    log, boat = sound(*RUNS["otter"])
+    for factor, plus, code in ((-1.0, 0.0, "sign:compass"), (1.0, 0.5, "offset:compass")):
+        fault = scaled(factor, "compass_rad", plus=plus)
+        remedy = finding(check_recording(recording(log, fault), boat), code).remedy
+        assert "scale = " not in remedy and "offset = " not in remedy
+        assert remedy.startswith(
+            "multiply scale and offset by -1" if factor < 0.0 else "add -0.4"
+        ), remedy
+
+
+@pytest.mark.parametrize(("degrees", "severity"), [(70.0, WARNING), (123.0, ERROR)])
+def test_a_heading_that_points_backwards_is_an_error(degrees: float, severity: str) -> None:
+    log, boat = sound("otter", "random", 0.1, current=0.2)
+    fault = scaled(1.0, "compass_rad", plus=math.radians(degrees))
+    check = check_recording(recording(log, fault), boat)
+    assert finding(check, "offset:compass").severity == severity
 
 
 def test_a_boat_that_rests_and_sails_for_a_moment_is_not_absurd() -> None:

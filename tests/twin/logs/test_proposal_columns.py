@@ -455,3 +455,50 @@ def test_the_unit_of_small_angles_is_that_of_the_heading_and_asked(
     assert np.nanmax(np.abs(log.z[:, MEASUREMENTS.index("ahrs_roll_rad")])) == pytest.approx(
         0.5 * unit, rel=0.02
     )
+
+
+def with_places(path: Path, lat: Callable[[int], str], side: str, heading: str = "hdg") -> Path:
+    """Write a log of degrees and minutes, with a column of hemispheres."""
+    lines = [f"time,lat,lon,E/W,{heading},n_left_rps,n_right_rps"]
+    lines += [
+        f"{0.2 * k:.1f},{lat(k)},{1008.0 + 1e-4 * k:.6f},{side},{60 + k % 200},5,{k % 7}"
+        for k in range(200)
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("odd", ["9959.000000", "5475.000000"])
+def test_one_odd_latitude_does_not_decide_the_unit(tmp_path: Path, odd: str) -> None:
+    path = with_places(
+        tmp_path / "a.csv", lambda k: odd if k == 50 else f"{5419.0 + 1e-4 * k:.6f}", "E"
+    )
+    said = propose(path).text("a.csv")
+    assert (
+        'unit = "ddmm"' in said and f"1 cell(s) are no degrees and minutes (row 51: {odd})" in said
+    )
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    log = Log.read(path)
+    assert np.nanmax(np.abs(log.z[:, 0])) < 100.0 and np.isnan(log.z[50, 0])
+
+
+def test_an_east_of_german_that_is_a_west_of_french_is_asked(tmp_path: Path) -> None:
+    path = with_places(tmp_path / "a.csv", lambda k: f"{5419.0 + 1e-4 * k:.6f}", "O")
+    said = propose(path).text("a.csv")
+    assert '# ? E/W: is "O" east, as in German, or west, as in French?' in said
+    assert "left out" not in said
+
+
+@pytest.mark.parametrize(
+    ("heading", "asked"),
+    [
+        *((name, True) for name in ("heading_mag", "heading_magnetic", "Heading (mag)")),
+        *(("magnetic heading", True), ("heading_true", False), ("hdg", False)),
+    ],
+)
+def test_a_magnetic_heading_is_asked_for_its_variation(
+    tmp_path: Path, heading: str, asked: bool
+) -> None:
+    path = with_places(tmp_path / "a.csv", lambda k: f"{5419.0 + 1e-4 * k:.6f}", "E", heading)
+    said = propose(path).text("a.csv")
+    assert (f"# ? {heading}: from magnetic north?" in said) == asked

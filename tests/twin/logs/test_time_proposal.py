@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -355,3 +355,35 @@ def test_columns_with_the_names_of_a_log_are_taken(tmp_path: Path) -> None:
     assert 'compass_rad = { from = "compass_deg", unit = "deg" }' in lines
     assert 'n_left_rps = { from = "n_left_rpm", unit = "rpm" }' in lines
     assert 'wind_from_rad = "wind_true_from_rad"' in lines
+
+
+@pytest.mark.parametrize("cell", ["UTC+2", "(UTC+2)", "(MESZ)", "CEST"])
+def test_zones_of_other_spellings_in_the_cells_are_read(tmp_path: Path, cell: str) -> None:
+    path = write(tmp_path / "a.csv", "Time", lambda t: f"{t:%d. %b %Y %H:%M:%S.%f} {cell}")
+    log = mapped(path)
+    assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH - 7200.0, abs=0.01)
+
+
+def test_a_log_goes_on_across_the_change_of_clocks(tmp_path: Path) -> None:
+    """Clocks of central Europe were put forward at 01:00 UTC on 31 March 2024."""
+    summer = datetime(2024, 3, 31, 1, tzinfo=UTC)
+    start = summer - timedelta(seconds=6)
+    rows = []
+    for k in range(60):
+        now = start + timedelta(seconds=0.2 * k)
+        name, ahead = ("CET", 1) if now < summer else ("CEST", 2)
+        shown = f"{now + timedelta(hours=ahead):%d. %b %Y %H:%M:%S.%f} {name}"
+        rows.append(f"{shown},{1e-5 * k + 59.43:.6f},10.47,{k % 7},5,{k % 3}")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["Time,lat,lon,heading_deg,n_left_rps,n_right_rps", *rows]))
+    assert CliRunner().invoke(app, ["mapping", str(path)]).exit_code == 0
+    log = Log.read(path)
+    assert log.datum is not None and log.datum.epoch == pytest.approx(start.timestamp(), abs=0.01)
+    assert np.diff(log.t) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_the_zone_of_the_cells_wins_over_another_one(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "Time", lambda t: f"{t:%d. %b %Y %H:%M:%S.%f} CEST")
+    said = propose(path, "", "America/New_York").text("a.csv")
+    assert "# ? Time: CEST in the cells is taken, and not America/New_York" in said
+    assert 'zone = "+02:00"' in said

@@ -49,6 +49,7 @@ NAMES = {
     "speed": r"sog|speed|spd|velocity|groundspeed",
     "course": r"cog|course|crs|gcrs|track",
     "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
+    "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
     "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|turn",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",

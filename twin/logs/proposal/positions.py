@@ -11,7 +11,7 @@ from twin.channels import MEASUREMENTS
 from twin.logs.agreement import heading_on_track, turns_as_driven, velocity_on_fixes
 from twin.logs.checks import in_degrees
 from twin.logs.columns import Array
-from twin.logs.datum import Plane, from_minutes, in_minutes
+from twin.logs.datum import Plane, from_minutes, in_minutes, odd_minutes
 from twin.logs.files import hemispheres
 from twin.logs.proposal.header_words import is_shaft, sides_of, unit_of
 from twin.logs.proposal.sheet import (
@@ -66,6 +66,15 @@ def place_degrees(
         Columns of latitude and longitude, by their names.
     """
     sides = [_hemisphere(columns, letters) for letters in ("NS", "EW")]
+    for name in columns.left if sides[1] is None else ():
+        cells = {cell.strip().upper() for cell in columns.text[name]}
+        if "O" in cells and cells <= {"O", "E", "W", ""}:
+            found.questions.append(
+                f'{columns.take(name)}: is "O" east, as in German, or west, as in French? '
+                "Longitudes are taken as they are; write E and W there, or, if all are west, give "
+                f"{names[1]} scale = -1.0"
+            )
+            break
     lat, lon = (
         columns.numbers[name] if side is None else np.abs(columns.numbers[name]) * side[1]
         for name, side in zip(names, sides, strict=True)
@@ -79,6 +88,12 @@ def place_degrees(
     swapped = ""
     if most[0] > 180.0 and in_minutes(lat, lon):
         add_line(found, "position", 'unit = "ddmm"  # degrees and minutes, as NMEA has them')
+        for name, values, limit in zip(names, (lat, lon), (9000.0, 18000.0), strict=True):
+            if len(rows := np.flatnonzero(odd_minutes(values, limit))):
+                found.questions.append(
+                    f"{name}: {len(rows)} cell(s) are no degrees and minutes (row {rows[0] + 1}: "
+                    f"{columns.text[name][rows[0]].strip()}): empty them"
+                )
         lat, lon = from_minutes(lat), from_minutes(lon)
         most = [0.01 * each for each in most]
     if most[0] > 90.0 >= most[1]:

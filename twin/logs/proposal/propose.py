@@ -229,6 +229,10 @@ def _heading(
     if name is None:
         found.missing.append("compass_rad")
         return None
+    if means(name, NAMES["magnetic"]):
+        found.questions.append(
+            f"{name}: from magnetic north? Then add the variation, east above 0, to its offset, rad"
+        )
     values, more, why = columns.numbers[name], "", ""
     if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
         values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"

@@ -193,7 +193,7 @@ def _dated(
         found.questions.append(f"{names[0]}: taken as day, month, year, as NMEA has it")
     found.seconds = _whole(found, title, dates(cells, form), dates(with_zeros(cells), form))
     first = float(np.append(_known(found.seconds), 0.0)[0])
-    stated = re.search(r"%#?z|UTC$|GMT$", form)
+    stated = re.search(r"%#?z|(UTC|GMT)\)?$", form)
     if not form:  # ISO 8601
         stated = re.search(r":.*(Z|[+-]\d\d(:?\d\d)?)$", example)
     if stated or "%d" not in (form or "%d"):
@@ -201,6 +201,9 @@ def _dated(
     else:
         in_head, name = ("", name) if name else _zone_of(title)
         in_head = in_head or ZONES.get(name, name if "/" in name else "")
+        if zone and formats[0].zone in ZONES and zone != in_head:
+            found.questions.append(f"{title}: {name} in the cells is taken, and not {zone}")
+            zone = ""
         if zone and in_head and ahead_of_utc(zone, first) != ahead_of_utc(in_head, first):
             found.questions.append(f"{title}: {zone} is taken, as asked, though its name says else")
             name = ""
