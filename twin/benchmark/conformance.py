@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import traceback
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from usv_kernel.errors import UsvTwinError
 __all__ = [
     "ContractError",
     "check_predictor",
+    "raised",
 ]
 
 ORIGINS = (300, 500)
@@ -81,8 +83,14 @@ def check_predictor(name: str) -> int:
     except ForecastError as error:  # names the predictor
         raise ContractError(str(error)) from error
     except Exception as error:  # of a user's predictor
-        raise ContractError(f"{name}: {type(error).__name__}: {error}") from error
+        raise ContractError(f"{name}: {raised(error)}") from error
     return len(ORIGINS)
+
+
+def raised(error: Exception) -> str:
+    """Return what code of a user raised, and where."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({at.filename}, line {at.lineno})"
 
 
 def _compare(where: str, found: Prediction, alone: Prediction) -> None:

@@ -205,10 +205,12 @@ def latex_text(results: Row) -> str:
     ]
     if verdict:
         of = next(row for row in results["verdict"] if row["loss"] == "all")
+        known = any(row["low"] is not None for row in verdict)
+        over = "with 95\\,\\% intervals over boats, "
         caption = (
             f"All scenarios ({_escaped(scope_of(of))}): mean errors of position and heading after "
-            "10\\,s, their ratio to those of persistence, pooled MAE and MSE, with 95\\,\\% "
-            "intervals over boats, best in bold."
+            "10\\,s, their ratio to those of persistence, pooled MAE and MSE, "
+            f"{over if known else ''}best in bold."
         )
         heads = {row["metric"]: (row["metric"], 1.0) for row in verdict}
         tables.append(_latex_table(verdict, heads, caption, "verdict"))

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.benchmark.conformance import raised
 from twin.benchmark.figures.data import RunFigure
 from twin.benchmark.loading import Run, fault_start, load_run
 from twin.benchmark.metrics import (
@@ -58,6 +59,7 @@ from usv_gym.world.channels import FIXES_BIT, GPS_BIT
 from usv_gym.world.faults import FAULT_KINDS, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import write_whole
 
 __all__ = [
@@ -350,7 +352,7 @@ def _attempt(
         if not task[0].log:
             _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
     except Exception as error:
-        return [(unit, _portable(error)) for unit in task]
+        return [(unit, _portable(error, unit.run)) for unit in task]
     return [(unit, _scored(settings, unit, folder, run)) for unit in task]
 
 
@@ -360,13 +362,13 @@ def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str,
     try:
         return run_unit(settings, unit, folder, pictures=pictures, run=run)
     except Exception as error:  # of a user's predictor
-        return _portable(error)
+        return _portable(error, f"{unit.run}, {unit.predictor}")
 
 
-def _portable(error: Exception) -> BenchmarkError:
-    """Return an error that a worker can send, with the kind of an unexpected one."""
-    plain = isinstance(error, (ValueError, OSError)) and str(error)
-    return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
+def _portable(error: Exception, what: str) -> BenchmarkError:
+    """Return an error that a worker can send; of an unexpected one with what, kind and place."""
+    plain = isinstance(error, (UsvTwinError, OSError)) and str(error)
+    return BenchmarkError(str(error) if plain else f"{what}: {raised(error)}")
 
 
 def collect(

@@ -37,9 +37,9 @@ PIPE_WIDTH = 120
 """Columns of tables that are written to a pipe or file, unless COLUMNS says otherwise."""
 
 _narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
-console = Console(markup=False, width=None if _narrow else PIPE_WIDTH)
+console = Console(markup=False, emoji=False, width=None if _narrow else PIPE_WIDTH)
 
-errors = Console(stderr=True, markup=False)
+errors = Console(stderr=True, markup=False, emoji=False)
 
 SHOWN_EVERY_ROWS = 100
 """After so many rows of a log the progress bar moves."""

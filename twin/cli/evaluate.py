@@ -57,7 +57,8 @@ def evaluate_command(
         str, typer.Option(help="One episode each: A-B, A:B, or a list as 0,4,7.")
     ] = EVALUATED_ON,
     task: Annotated[
-        str | None, typer.Option(help=f"One of: {', '.join(TASKS)}. Default: the trained one.")
+        str | None,
+        typer.Option(help=f"One of: {', '.join(TASKS)}; or module:Class. Default: trained."),
     ] = None,
     twin: Annotated[str | None, typer.Option(help="Default: that of the training, or ukf.")] = None,
     vessel: Annotated[
