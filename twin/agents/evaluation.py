@@ -234,12 +234,24 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
         return [(str(name), Policy.load(file)) for name, file in zip(names, files, strict=True)]
     if path.suffix == ".npz":
         return [(model, Policy.load(path))]
+    known = CONTROLLERS | DOCKING
+    saved = path.with_name(f"{path.name}.zip")  # Stable-Baselines3 adds it to a name without
+    if model not in known and not path.exists() and saved.exists():
+        path = saved
     if path.suffix == ".zip" and path.exists():
         algorithm_class("ppo")  # says what to install
         return [(model, SavedPolicy(path, _sizes()))]
     if ":" in model:
-        return [(model, import_named(model, AgentError, model)())]
-    known = CONTROLLERS | DOCKING
+        agent = import_named(model, AgentError, model)()
+        lacks = [
+            name for name in ("name", "observation", "begin", "act") if not hasattr(agent, name)
+        ]
+        if lacks:
+            raise AgentError(
+                f"{model}: an agent has name, observation, begin and act; it lacks "
+                f"{' and '.join(lacks)}; {SIX_LINES}"
+            )
+        return [(model, agent)]
     if path.exists():
         raise AgentError(
             f"{model}: is no policy (.npz) and no model of Stable-Baselines3 (.zip); {SIX_LINES}"

@@ -7,6 +7,7 @@ Nothing here computes a result: it shows what ``twin.benchmark.runner`` collects
 from __future__ import annotations
 
 import base64
+import contextlib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -86,6 +87,8 @@ def write_report(
     for stale in folder.glob("*"):
         if stale.suffix in (".png", ".svg", ".pdf"):
             stale.unlink()
+    with contextlib.suppress(OSError):  # of a user's files
+        folder.rmdir()
     rows = [*results.get("rows", ()), *results.get("summary", ())]
     predictors = [row["predictor"] for row in rows]
     drawn, runs = runs is not None, runs or []

@@ -53,6 +53,13 @@ def test_episode_i_is_that_of_a_single_environment_with_its_seed():
         assert not row["failed"] and not row["success"]
 
 
+def test_an_agent_that_lacks_a_part_is_named(tmp_path, monkeypatch):
+    (tmp_path / "half.py").write_text("class Half:\n    def act(self, obs): ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(AgentError, match=r"half:Half: .* lacks name and observation and begin"):
+        evaluation.agents_named("half:Half")
+
+
 @pytest.mark.parametrize(("algo", "observation"), [("PPO", "twin"), ("SAC", "compact")])
 def test_a_model_of_stable_baselines3_sails_as_it_was_saved(tmp_path, algo, observation):
     sb3 = pytest.importorskip("stable_baselines3")
@@ -61,6 +68,7 @@ def test_a_model_of_stable_baselines3_sails_as_it_was_saved(tmp_path, algo, obse
     options = {"observation": observation, "frame_skip": 10}
     model = getattr(sb3, algo)("MlpPolicy", SB3VecEnv(1, **options), device="cpu", seed=3)
     model.save(tmp_path / "model")
+    evaluation.agents_named(str(tmp_path / "model"))  # as it was named to save
     ((label, agent),) = evaluation.agents_named(str(tmp_path / "model.zip"))
     assert label.endswith("model.zip") and agent.observation == observation
     envs = make_envs(2, observation=observation)

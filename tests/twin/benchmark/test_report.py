@@ -281,6 +281,9 @@ def test_pictures_that_are_left_out_are_named(tmp_path):
     assert len(files) == 1 and "<img" not in page(files)
     # those of an earlier report would contradict its numbers; what is not its own stays
     assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["own.txt"]
+    (tmp_path / "pictures" / "own.txt").unlink()
+    write_report(tmp_path, found, None)
+    assert not (tmp_path / "pictures").exists()
 
 
 def test_a_report_on_own_logs_says_nothing_of_simulated_boats(tmp_path):
