@@ -29,11 +29,15 @@ CHANGED_S = 90.0  # when something changes
 AFTER_S = 30.0  # time until the boat is scored again
 LOSS_S = 39.0  # of GPS, in simulated runs from 80 s on
 
-UPDATE, WEIGHT = "twin/predictors/plus_update.py", "twin/identification/data_weight.py"
-FORECAST, PLUS = "twin/predictors/forecast.py", "twin/predictors/dsw_ukf_plus.py"
-SETTINGS, CHANGE = "twin/identification/filter_settings.py", "twin/identification/change.py"
+UPDATE = "twin/predictors/plus_update.py"
+WEIGHT = "twin/identification/data_weight.py"
+FORECAST = "twin/predictors/forecast.py"
+PLUS = "twin/predictors/dsw_ukf_plus.py"
+SETTINGS = "twin/identification/filter_settings.py"
+CHANGE = "twin/identification/change.py"
 WINDOW = "twin/identification/window.py"
-SCALE, WAVES = "twin/identification/interval_scale.py", "twin/identification/wave_residual.py"
+SCALE = "twin/identification/interval_scale.py"
+WAVES = "twin/identification/wave_residual.py"
 
 Patch = tuple[str, str, str]
 """A file, text in it, and what replaces that."""

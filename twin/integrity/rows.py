@@ -408,13 +408,14 @@ def without_marks(
     found, least = list[Finding](), dict(ABSURD_FROM)
     if particulars is not None:
         least["rps"] = ABSURD * particulars.shaft_speed
+    channels, table = (*MEASUREMENTS, *COMMANDS), np.column_stack([recording.z, recording.cmd])
     others = ((name,) for name in MEASUREMENTS if name not in (*FIX, *VELOCITY))
     for names in (VELOCITY, *others, COMMANDS[:2], COMMANDS[2:]):
-        table, sensor = np.column_stack([recording.z, recording.cmd]), names[0]
+        sensor = names[0]
         if sensor in COMMANDS:
             least["rad"] = LARGE_ANGLE_RAD
         # made of speed and course, or of throttle and steering, a mark is in both
-        values = table[:, [(*MEASUREMENTS, *COMMANDS).index(name) for name in names]].T
+        values = table[:, [channels.index(name) for name in names]].T
         if names == VELOCITY:
             values, sensor = np.hypot(*values)[None], "velocity"
         values = np.take_along_axis(values, np.abs(values).argmax(axis=0)[None], axis=0)[0]

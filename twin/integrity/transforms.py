@@ -92,17 +92,13 @@ class Hypothesis:
     changed: tuple[str, ...]  # the columns that it changes
     undo: Undo
     scan: Scan | None = None
-    error: bool | None = None  # whether a log cannot be used so; None: where it has no number
+    error_from: float = math.inf  # size from which on a log cannot be used so
     cost: float = 0.0  # beyond that of any fault
     guess: bool = False  # whether what undoes it takes from other columns
 
     def severity(self, size: float) -> str:
-        """No fault of the columns that a twin does without is an error.
-
-        A direction that is more than a quarter turn off is one: it points backwards.
-        """
-        error = self.scan is None if self.error is None else self.error
-        error |= self.scan is ASKEW and abs(size) > QUARTER
+        """No fault of the columns that a twin does without is an error."""
+        error = self.scan is None or abs(size) >= self.error_from
         needed = {*ANGLES, *HEIGHT, *CLIMB}.isdisjoint(self.changed)
         return ERROR if error and needed else WARNING
 
@@ -231,7 +227,8 @@ DELAY = _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
 STATED = "in [instruments] of the particulars"
 FACTOR = "multiply scale and offset by {value} there in the mapping"
-MINUS, PLUS = FACTOR.format(value=-1), "add {value} to offset there in the mapping"
+MINUS = FACTOR.format(value=-1)
+PLUS = "add {value} to offset there in the mapping"
 
 TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("unit", "compass", "the heading is in degrees, not radians",
@@ -245,7 +242,7 @@ TABLE: tuple[Hypothesis, ...] = (
                PLUS.format(value=3.1416), COMPASS, _map(COMPASS, [[1.0]], math.pi)),
     Hypothesis("offset", "compass", "the heading is {size} degrees off the motion in any direction",
               f'{PLUS} (with frame = "enu" subtract it): variation, or a sensor askew',
-              COMPASS, _shifted(*COMPASS), ASKEW),
+              COMPASS, _shifted(*COMPASS), ASKEW, QUARTER),
     *(each for vectors, sensor in (
         ((FIX,), "fixes"), ((VELOCITY,), "velocity"), ((FIX, VELOCITY), "gps"), ((GYROS,), "gyro"),
         ((GYROS[2:],), "gyro"), ((FORCES,), "accelerometers"), ((FORCES[:2],), "accelerometers"),
@@ -266,16 +263,16 @@ TABLE: tuple[Hypothesis, ...] = (
                _of_way, cost=RARE_COST, guess=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
-              SCALES, error=True),
+              SCALES, error_from=0.0),
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
-              _turned(VELOCITY), ASKEW),
+              _turned(VELOCITY), ASKEW, QUARTER),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                f"{PLUS.format(value=-9.81)}: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
               "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
-              error=True),
+              error_from=0.0),
     *(Hypothesis("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
                 _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))

@@ -180,24 +180,23 @@ class BoatsAtSea:
             raise UsvTwinError(
                 f"set_state takes what get_state returned, not {state!r:.40}: {error}"
             ) from None
-        for name, own in self._kind().items() if "episodes" in vars(self) else ():
-            if kind[name] != own:
-                raise UsvTwinError(
-                    f"set_state: the state is that of another environment, with {name} = "
-                    f"{kind[name]!r:.200}; here it is {own!r:.200}"
-                )
+        own = self._kind() if "episodes" in vars(self) else kind
+        if other := [name for name in own if kind[name] != own[name]]:
+            raise UsvTwinError(
+                f"set_state: the state is that of another environment; {' and '.join(other)} differ"
+            )
         vars(self).update(found)
 
     def _kind(self) -> dict[str, Any]:
         """Return what environments must have in common to take each other's states."""
         return {
-            "vessel": repr(self.vessel),
+            "vessel": self.vessel.name,
             "sea": repr(self.seas),
             "task": type(self.task).__name__,
-            "dof": self.simulation.dof,
             "num_envs": self.episodes.n,
             "observation": self.observation_names,
             "observer": type(self.observer).__name__,
+            "options": [one.tobytes() for one in self.episodes.shared],
         }
 
     def __reduce_ex__(self, protocol: Any) -> Any:

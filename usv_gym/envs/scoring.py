@@ -28,9 +28,9 @@ STATION_TERMS = ("distance", "speed", "effort", "failure")
 DOCK_TERMS = (*STATION_TERMS, "heading")
 """Names of the parts of each kind of reward ..."""
 
-PROGRESS, OFF_PATH = 0, 1
-DISTANCE, SPEED = 0, 1
-EFFORT, FAILURE, HEADING = 2, 3, 4
+PROGRESS, OFF_PATH = range(2)
+DISTANCE, SPEED = range(2)
+EFFORT, FAILURE, HEADING = range(2, 5)
 """... and their places."""
 
 MOTION = "motion"
