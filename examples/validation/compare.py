@@ -21,6 +21,7 @@ from usv_gym.hydro.table import between
 from usv_gym.physics import GRAVITY, ship, spectra
 from usv_gym.physics import frames as fr
 from usv_gym.physics.waves import drift_at
+from usv_gym.world.simulation import Simulation
 
 LENGTH_M, SHAFT_RPS, SPEED_MPS = 7.0, 10.4, 1.179
 """The 7 m model of KVLCC2 in the tests."""
@@ -127,8 +128,9 @@ def largest_drift_error(boat):
     """Difference of the drift of simulated seas from an integral over the spectrum, %."""
     omega, errors = np.linspace(boat.hydro.omega[0], boat.hydro.omega[-1], 2000), []
     for hs in (0.3, 0.88):
-        sea = SeaState(hs=hs, wave_to=0.0).realise(boat, *np.random.default_rng(0).spawn(2))
-        drawn = np.asarray(sea.weather["drift_table"])
+        simulation = Simulation(1, boat, SeaState(hs=hs, wave_to=0.0))
+        simulation.reset([0], [np.random.default_rng(0)])
+        drawn = np.asarray(simulation.weather[0]["drift_table"])
         for degrees in MOTIONS_AT:
             column = round(degrees / 180 * (len(boat.hydro.heading) - 1))
             of_table = between(omega, boat.hydro.omega, boat.hydro.drift[:, column])

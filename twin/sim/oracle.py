@@ -27,6 +27,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SeaState
+from usv_gym.world.simulation import Simulation
 from usv_kernel.jit import kernel
 
 __all__ = [
@@ -169,12 +170,13 @@ class Oracle(HistoryPredictor):
         seed: int = 0,
     ) -> None:
         vessel = vessel or known_vessel(particulars)
-        quiet = np.random.default_rng(0)
-        weather = (sea or SeaState()).realise(vessel, quiet, quiet).weather
+        steady = (sea or SeaState()).replace(wind_sd=0.0, wind_from_sd=0.0)
+        quiet = Simulation(1, vessel, steady)
+        quiet.reset([0], [np.random.default_rng(0)])
         U, L = particulars.speed, particulars.length
         self._true = _True(
             ship.Ship(vessel.packed.copy(), dof),
-            ship.calm_sea(weather),
+            ship.calm_sea(quiet.sea(0).weather),
             np.array([4.0 * U, 4.0 * U, 4.0 * U / L]),
             np.zeros((ship.WORK_ROWS + 1, fr.STATE_SIZE)),
         )

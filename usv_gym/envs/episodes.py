@@ -470,7 +470,7 @@ class Episodes:
         memory[:] = 0.0
         kind.task.draw(i, children, _TASK, world[_HEADING])
         self.actions[:, i] = kind.nominal_action
-        notes = world, sim.sea_rows, self.worlds.numbers[i]
+        notes = world, sim.sea_tables.rows, self.worlds.numbers[i]
         _begin(sim.rows[i], memory, self.task.points[i], self.shared, notes, obs)
 
     def step(self, obs: np.ndarray, callbacks: Sequence[StepCallback] = ()) -> bool:

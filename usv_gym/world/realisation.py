@@ -23,10 +23,9 @@ __all__ = [
     "GUST_COMPONENTS",
     "Sea",
     "drift_scratch",
-    "drift_sums",
-    "drift_table",
     "fill_rows",
     "gust_rows",
+    "interpolated",
     "load_rows",
     "pm_components",
     "sum_drift",
@@ -34,18 +33,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-
-def complete_rows(vessel: Vessel, rows: Array) -> Array:
-    """Complete wave components (7, M) in place, and return them, as the kernels read them.
-
-    Frequencies (rad/s), amplitudes (m) and phases at the origin at time 0 (rad) are given; the unit
-    vectors of their directions stand in place of the wave numbers. The vessel's draft decides how
-    deep the pressure reaches.
-    """
-    rho_g = vessel.values["water_density"] * GRAVITY
-    fill_rows(rows, rows.shape[1], rho_g, vessel.values["draft"])
-    return rows
 
 
 @kernel
@@ -92,40 +79,57 @@ def gust_rows(kind: int, wind: float, rows: np.ndarray) -> None:
         rows[2, i] = math.sqrt(2.0 * gust_density(kind, f, wind) * width)
 
 
-def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
-    """Return the sums (6,) of mean drift by regression, see :func:`waves.mean_drift_loads`.
+@kernel
+def reflected_share(k_draft: float, table: np.ndarray) -> float:
+    """Return the share of a wave's energy that hulls reflect, by wave number times draft.
 
-    ``omega`` (M,) in rad/s, ``amplitude`` (M,) in m; the waves go ``to`` (M,), rad. Length and
-    number of hulls, with their draft, decide which waves are reflected.
+    The ``table`` (2, R) is that of :func:`usv_gym.physics.waves.reflected_by_draft`; R = 0: all.
     """
-    sums, share = np.zeros(waves.DRIFT_SUMS), np.ones(len(omega))
-    if vessel.two_hulls:  # waves pass below shallow pontoons
-        share = waves.reflected_by_draft(omega**2 / GRAVITY, vessel.values["draft"])
-    v, given = vessel.values, np.stack([omega, amplitude, share, to])
-    sum_regression(given, 0.0, v["length_waterline"], v["water_density"] * GRAVITY, sums)
-    return sums
+    return 1.0 if table.shape[1] == 0 else interpolated(k_draft, table[0], table[1])
 
 
 @kernel
-def sum_regression(given: np.ndarray, to: float, L: float, weight: float, sums: np.ndarray) -> None:
-    """Write the sums (6,) of mean drift over waves.
+def sum_regression(
+    given: np.ndarray, to: float, p: Record, reflected: np.ndarray, sums: np.ndarray
+) -> None:
+    """Write the sums (6,) of mean drift over waves, see :func:`waves.mean_drift_loads`.
 
-    The rows ``given`` (4, M) are frequencies, amplitudes, reflected shares, and directions off
-    ``to``, rad; the ``weight`` of water is in N/m3.
+    The rows ``given`` (3, M) are frequencies, amplitudes, and directions off ``to``, rad. ``p``
+    are the parameters of the boat, whose length and draft decide which waves are reflected; see
+    :func:`reflected_share`.
     """
     sums[:] = 0.0
+    L = p.length_waterline
     for i in range(given.shape[1]):
         omega, amplitude = given[0, i], given[1, i]
-        sine, cosine = sincos(to + given[3, i])
+        sine, cosine = sincos(to + given[2, i])
         coefficients = waves.drift_limited(2.0 * math.pi * GRAVITY / (omega * omega * L))
+        aside = reflected_share(omega * omega / GRAVITY * p.draft, reflected)
         for j in range(3):
-            share = 1.0 if j == 0 else given[2, i]
-            load = 0.5 * L * share * coefficients[j] * amplitude * amplitude
+            load = 0.5 * L * (1.0 if j == 0 else aside) * coefficients[j] * amplitude * amplitude
             load *= 1.0 if j < 2 else L
             sums[2 * j] += load * cosine
             sums[2 * j + 1] += load * sine
     for j in range(sums.shape[0]):
-        sums[j] *= weight
+        sums[j] *= p.water_density * GRAVITY
+
+
+@kernel
+def interpolated(x: float, points: np.ndarray, values: np.ndarray) -> float:
+    """Return a value at x, between those at rising points; the outermost hold beyond them."""
+    low, high = 0, points.shape[0] - 1
+    if x >= points[high]:
+        return values[high]
+    if x <= points[0]:
+        return values[0]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if points[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    share = (x - points[low]) / (points[high] - points[low])
+    return values[low] + share * (values[high] - values[low])
 
 
 _HEAVE = 2
@@ -166,35 +170,6 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
     return out
 
 
-def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array | None:
-    """Return the mean drift (H, 3) at even headings of the boat, None without a table.
-
-    Forces in N, moment in N m; the waves as in :func:`drift_sums`.
-    """
-    table = vessel.hydro
-    if table is None or table.drift_around is None:
-        return None
-    scale = vessel.values["length_waterline"] / table.length
-    values = table.drift_around
-    if (to == to[0]).all():
-        out = np.zeros((waves.LOAD_HEADINGS, 3))
-        scratch = np.zeros(drift_scratch(values.shape))
-        sum_drift(
-            np.stack([omega, amplitude]),
-            to.item(0),
-            scale,
-            (table.omega.copy(), values, scratch),
-            out,
-        )
-        return out
-    points = table.omega / math.sqrt(scale)
-    drift = between(omega, points, values)
-    # longer waves pass by
-    drift = drift * np.minimum(omega / points[0], 1.0)[:, None, None] ** 4
-    power = scale ** np.array([1.0, 1.0, 2.0])
-    return power * np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0)
-
-
 def drift_scratch(shape: tuple[int, ...]) -> int:
     """Return how many numbers :func:`sum_drift` takes for a table of a shape (F, K, 3)."""
     F, K = shape[:2]
@@ -209,12 +184,31 @@ def sum_drift(
     table: tuple[np.ndarray, np.ndarray, np.ndarray],
     out: np.ndarray,
 ) -> None:
-    """Write the mean drift (H, 3) at even headings of the boat, of waves that all go ``to``, rad.
+    """Write the mean drift (H, 3) at even headings of the boat.
 
-    The first rows of ``given`` are frequencies and amplitudes. ``table`` holds frequencies (F,),
-    the drift (F, K, 3) at even headings of the wave, and scratch of :func:`drift_scratch` numbers.
-    ``scale`` is the length of the boat over that of the table.
+    Forces in N, moment in N m. The rows of ``given`` (3, M) are frequencies, amplitudes, and
+    directions off ``to``, rad. ``table`` holds frequencies (F,), the drift (F, K, 3) at even
+    headings of the wave, and scratch of :func:`drift_scratch` numbers. ``scale`` is the length of
+    the boat over that of the table.
     """
+    first = 0
+    out[:] = 0.0
+    while first < given.shape[1]:
+        # waves of one direction together
+        last = first + 1
+        while last < given.shape[1] and given[2, last] == given[2, first]:
+            last += 1
+        _add_drift(given[:, first:last], to + given[2, first], scale, table, out)
+        first = last
+    for h in range(out.shape[0]):
+        out[h, 0] *= scale
+        out[h, 1] *= scale
+        out[h, 2] *= scale * scale
+
+
+@inlined
+def _add_drift(given, to, scale, table, out):
+    """Add the drift of waves that all go ``to``, for a boat as long as that of the table."""
     points, values, scratch = table
     F, K, H = values.shape[0], values.shape[1], out.shape[0]
     shares, at = take(scratch, 0, (F,))
@@ -234,7 +228,6 @@ def sum_drift(
     for h in range(H):
         headings[h, 1], headings[h, 0] = sincos(2.0 * math.pi * h / H)
     # trigonometric interpolation, see _turned: lobes of the wave, at the headings of the boat
-    out[:] = 0.0
     for n in range(K // 2 + 1):
         weight = (1.0 if n == 0 or 2 * n == K else 2.0) / K
         s, c = sincos(n * to)
@@ -250,10 +243,6 @@ def sum_drift(
             for h in range(H):
                 out[h, j] += headings[at, 0] * ahead + headings[at, 1] * aside
                 at = at + step - H if at + step >= H else at + step
-    for h in range(H):
-        out[h, 0] *= scale
-        out[h, 1] *= scale
-        out[h, 2] *= scale * scale
 
 
 @inlined
@@ -334,7 +323,8 @@ class Sea:
         rows = np.zeros((waves.WAVE_ROWS, 1))
         rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
         rows[waves.K_NORTH], rows[waves.K_EAST] = math.cos(to), math.sin(to)
-        return dataclasses.replace(cls.calm(), waves=complete_rows(vessel, rows), vessel=vessel)
+        fill_rows(rows, 1, vessel.values["water_density"] * GRAVITY, vessel.values["draft"])
+        return dataclasses.replace(cls.calm(), waves=rows, vessel=vessel)
 
     def arrays(self) -> ship.Sea:
         """Return the arrays that the ship's kernels take, with scratch of their own."""

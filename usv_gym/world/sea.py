@@ -14,18 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.physics import GRAVITY, spectra, waves
+from usv_gym.physics import GRAVITY, spectra
 from usv_gym.physics import weather as wx
-from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.realisation import (
-    GUST_COMPONENTS,
-    Sea,
-    complete_rows,
-    drift_sums,
-    drift_table,
-    gust_rows,
-    pm_components,
-)
+from usv_gym.world.realisation import GUST_COMPONENTS
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
 from usv_kernel.records import Record
@@ -316,6 +307,16 @@ class SeaState:
         return Spectrum(omega, spectra.ittc_spectrum(omega, self.hs, tp))
 
     @property
+    def wave_components(self) -> int:
+        """How many components its waves have."""
+        return int(self.components) if self.hs > 0.0 else 0
+
+    @property
+    def gust_components(self) -> int:
+        """How many components its gusts have."""
+        return GUST_COMPONENTS if self.wind > 0.0 and self.gusts != "none" else 0
+
+    @property
     def is_closed_form(self) -> bool:
         """Whether its frequencies follow from shares of the energy without a table."""
         return self.spectrum == "pm" and self.discretisation == "equal-energy"
@@ -325,40 +326,6 @@ class SeaState:
         """The spectrum as a table, and the share of the energy below each of its points."""
         table = self.wave_spectrum()
         return table, spectra.energy_shares(table.omega, table.density)
-
-    def realise(
-        self,
-        vessel: Vessel,
-        rng_waves: np.random.Generator,
-        rng_gusts: np.random.Generator,
-        *,
-        wind_from: float | None = None,
-        current: tuple[float, float] | None = None,
-    ) -> Sea:
-        """Draw one sea; its slow changes of the wind start at the mean.
-
-        The vessel's draft and length decide how deep the pressure reaches and which waves it
-        reflects. :func:`usv_gym.physics.weather.advance_slow_wind` draws and moves the wind's
-        changes. ``wind_from`` (rad) turns all wind as :meth:`turned` does; ``current`` (m/s, north
-        and east) replaces that of the sea state.
-        """
-        to = self.current_to
-        if current is None:
-            current = self.current * math.cos(to), self.current * math.sin(to)
-        turn = 0.0 if wind_from is None else wind_from - self.wind_from
-        weather = self.mean_weather.copy()
-        weather["wind_from"][: max(len(self.schedule), 1)] += turn
-        weather["current_north"], weather["current_east"] = current
-        waves_to = self.waves_to + (turn if self.wave_to is None else 0.0)
-        if self.hs > 0.0:
-            omega, amplitude, aside = self.drift_waves
-            table = drift_table(vessel, omega, amplitude, waves_to + aside)
-            if table is None:
-                weather["drift_sums"] = drift_sums(vessel, omega, amplitude, waves_to + aside)
-            else:
-                weather["drift_table"], weather["drift_tabled"] = table, 1.0
-        components, gusts = self._waves(vessel, rng_waves, waves_to), self._gusts(rng_gusts)
-        return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
 
     @cached_property
     def mean_weather(self) -> Record:
@@ -396,64 +363,41 @@ class SeaState:
         amplitude = np.sqrt(2.0 * np.diff(np.interp(edges, table.omega, energy)))
         # the golden section deals out directions evenly, whatever part of the waves counts
         shares = (0.5 + 0.6180339887498949 * np.arange(DRIFT_WAVES, dtype=float)) % 1.0
-        return np.sqrt(edges[1:] * edges[:-1]), amplitude, self._aside(shares)
+        aside = (
+            np.interp(shares, *self.directions) if self.directions.size else np.zeros(len(shares))
+        )
+        return np.sqrt(edges[1:] * edges[:-1]), amplitude, aside
 
-    def _aside(self, shares: Array) -> Array:
-        """Return the directions off the mean, rad, below which shares of the energy go."""
+    @cached_property
+    def directions(self) -> Array:
+        """Shares (2, P) of the energy that goes further left than directions off the mean, rad."""
         if self.spreading is None:
-            return np.zeros(len(shares))
-        from scipy.special import betaincinv  # takes a while, and few seas need it
+            return np.zeros((2, 0))
+        from scipy.special import betainc  # takes a while, and few seas need it
 
         # (1 + sin)/2 of a cos^2s direction has a beta distribution
-        shape = self.spreading + 0.5
-        return np.asarray(np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0))
+        aside, shape = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001), self.spreading + 0.5
+        return np.stack([betainc(shape, shape, 0.5 + 0.5 * np.sin(aside)), aside])
+
+    @cached_property
+    def frequencies(self) -> Array:
+        """What components are drawn of: uniform numbers, frequencies and relative energies (3, P).
+
+        A component of a number x has the frequency (rad/s) that stands there beside x, and a share
+        of the energy by the third row. P = 0 where closed form gives both, or without waves.
+        """
+        if self.hs == 0.0 or self.is_closed_form:
+            return np.zeros((3, 0))
+        table, shares = self._table
+        if self.discretisation == "equal-energy":
+            return np.stack([shares, table.omega, np.ones(len(shares))])
+        low, high = np.interp(_BAND, shares, table.omega)
+        # bins of equal ratio: their width grows with the frequency
+        number = np.log(table.omega / low) / math.log(high / low)
+        return np.stack([number, table.omega, table.density * table.omega])
 
     def _wind_from(self, keyframe: SeaKeyframe) -> float:
         return self.wind_from if keyframe.wind_from is None else keyframe.wind_from
-
-    def _components(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Draw the frequencies (rad/s) of the components, and return their amplitudes (m)."""
-        M = self.components
-        # one frequency at random in each of M bins, of equal energy or width: the sea never repeats
-        uniform = rng.random(M)
-        if self.is_closed_form:
-            pm_components(self.hs, uniform)
-            return uniform, np.full(M, self.hs / math.sqrt(8.0 * M))
-        within = np.arange(M) + uniform
-        if self.discretisation == "random-frequency":
-            table, shares = self._table
-            low, high = np.interp(_BAND, shares, table.omega)
-            omega = low * (high / low) ** (within / M)
-            # bins of equal ratio: their width grows with the frequency
-            share = np.interp(omega, table.omega, table.density) * omega
-            return omega, self.hs * np.sqrt(share / (8.0 * np.sum(share)))
-        table, shares = self._table
-        omega = np.interp(np.clip(within / M, 1e-12, 1 - 1e-12), shares, table.omega)
-        return omega, np.full(M, self.hs / math.sqrt(8.0 * M))
-
-    def _waves(self, vessel: Vessel, rng: np.random.Generator, to: float) -> Array:
-        """Draw the wave components of waves that go ``to``, rad."""
-        if self.hs == 0.0:
-            return np.zeros((waves.WAVE_ROWS, 0))
-        rows = np.empty((waves.WAVE_ROWS, self.components))
-        rows[waves.OMEGA], rows[waves.AMPLITUDE] = self._components(rng)
-        M = self.components
-        rows[waves.PHASE] = rng.uniform(0.0, 2.0 * math.pi, M)
-        if self.spreading is None:
-            rows[waves.K_NORTH], rows[waves.K_EAST] = math.cos(to), math.sin(to)
-        else:
-            # one direction at random in each of M bins of equal energy, dealt to the frequencies
-            aside = self._aside((rng.permutation(M) + rng.random(M)) / M)
-            rows[waves.K_NORTH], rows[waves.K_EAST] = np.cos(to + aside), np.sin(to + aside)
-        return complete_rows(vessel, rows)
-
-    def _gusts(self, rng: np.random.Generator) -> Array:
-        if self.wind == 0.0 or self.gusts == "none":
-            return np.zeros((3, 0))
-        rows = np.zeros((3, GUST_COMPONENTS))
-        rows[:2] = rng.random((2, GUST_COMPONENTS))
-        gust_rows(GUSTS.index(self.gusts), self.wind, rows)
-        return rows
 
 
 def _check(name: str, value: object, where: str = "", *, optional: bool = False) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
-from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
+from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, OMEGA, WAVE_ROWS, factor_workspace
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import BoatClass, Vessel
 from usv_gym.world import anemometer, sensors
@@ -20,7 +20,7 @@ from usv_gym.world.faults import CHANNELS, FAULT, STRUCK, Disturbance, drive, st
 from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
-from usv_gym.world.start import SEA, DriftTable, FaultSets, draw_start, is_compiled, sea_record
+from usv_gym.world.start import DriftTable, FaultSets, Seas, draw_sea, draw_start
 from usv_gym.world.state import (
     BOAT,
     SIMULATION,
@@ -345,14 +345,12 @@ class Simulation:
         if self.kinds[0].vessel is not vessel:
             name = self.kinds[0].vessel.name
             raise SimulationError(f"vessel = {vessel.name}: must be the first of kinds, {name}")
-        quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
-        examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
-        width = padded(max(example.waves.shape[1] for example in examples))
+        width = padded(max(sea.wave_components for sea in seas))
         tabled = dof == 6 and vessel.hydro is not None and width > 0
         shapes = {
             "waves": (WAVE_ROWS, width),
-            "gusts": max(example.gusts.shape for example in examples),
+            "gusts": (3, max(sea.gust_components for sea in seas)),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
             "faults": (faults.most, record_size(FAULT)),
             "fault_memory": (faults.memory_rows(dt), 1 + STRUCK),
@@ -403,19 +401,10 @@ class Simulation:
         self.worlds["speed"], self.worlds["shaft_speed"] = first.speed, first.shaft_speed
         for name in ("wind_from", "current_north", "current_east"):
             self.worlds[name] = math.nan
-        self.sea_rows = np.array([sea_record(one) for one in self.seas], SEA).view(float)
-        self.sea_rows = self.sea_rows.reshape(len(self.seas), -1)
-        tables = [DriftTable.of(kind.vessel) for kind in self.kinds]
+        self.sea_tables = Seas.of(self.seas)
         # kernels take plain tuples from Python much faster
-        self._tables: list[Any] = [tuple(table) for table in tables]
-        # which seas kernels draw of each kind of boat; how much shallow hulls reflect, SciPy says
-        self._compiled = [
-            [sea.hs == 0.0 or (is_compiled(sea) and known) for sea in self.seas]
-            for known in (
-                table.omega.size > 0 or not kind.vessel.two_hulls
-                for table, kind in zip(tables, self.kinds, strict=True)
-            )
-        ]
+        self._seas = tuple(self.sea_tables)
+        self._tables: list[Any] = [tuple(DriftTable.of(kind.vessel)) for kind in self.kinds]
         self._scratch = np.zeros((4, 8), np.uint64)
 
     def vessel_of(self, i: int) -> Vessel:
@@ -479,29 +468,10 @@ class Simulation:
         self._not_reset.discard(i)
         row, world, states = self.rows[i], self.world_rows[i], streams.states
         kind = int(world[_KIND_AT])
-        table, seas = self._tables[kind], self.sea_rows
+        table, seas = self._tables[kind], self._seas
         draw_start(row, world, self.shared, states, seas, table, self._faults, self._scratch)
-        sea = int(world[_SEA_AT])
-        if not self._compiled[kind][sea]:
-            self._realise(i, self.seas[sea], streams)
-        elif self._loads.shape[1] > 0:
-            drawn = self.waves[i, :, : self.seas[sea].components]
-            self._fill_loads(i, self.vessel_of(i), drawn)
+        self._fill_loads(i, self.seas[int(world[_SEA_AT])])
         _start(row, world, self.shared, states, self.factors)
-
-    def _realise(self, i: int, state: SeaState, streams: Streams) -> None:
-        """Put boat i into a sea that kernels do not draw."""
-        given = self.worlds[i]
-        north, east = given["current_north"].item(), given["current_east"].item()
-        wind_from = given["wind_from"].item()
-        sea = state.realise(
-            self.vessel_of(i),
-            streams.generator("waves"),
-            streams.generator("gusts"),
-            wind_from=None if math.isnan(wind_from) else wind_from,
-            current=None if math.isnan(north) else (north, east),
-        )
-        self._fill(i, sea)
 
     def _checked_start(
         self, speed: float | None, heading: float, at: tuple[float, float]
@@ -526,34 +496,37 @@ class Simulation:
         With six degrees of freedom it is set on the new surface, moving with it. The slow changes
         of the wind begin at its mean.
         """
-        new = SeaState.named(sea).realise(self.vessel_of(i), *rng.spawn(2))
-        for kind, array, components in (
-            ("waves", self.waves, new.waves),
-            ("gusts", self.gusts, new.gusts),
+        new = SeaState.named(sea)
+        for kind, array, count in (
+            ("waves", self.waves, new.wave_components),
+            ("gusts", self.gusts, new.gust_components),
         ):
-            if components.shape[1] > array.shape[2]:
+            if count > array.shape[2]:
                 raise SimulationError(
-                    f"change_sea: {components.shape[1]} components of {kind}, but space "
-                    f"for {array.shape[2]}: make the simulation with changing=True, or with a sea "
-                    "of as many components"
+                    f"change_sea: {count} components of {kind}, but space for {array.shape[2]}: "
+                    "make the simulation with changing=True, or with a sea of as many components"
                 )
-        self._fill(i, new)
+        world, states = self.world_rows[i : i + 1].copy(), spawned(rng, wind=False).states
+        for name in ("wind_from", "current_north", "current_east"):
+            structured(world, WORLD)[name] = math.nan
+        table, seas = self._tables[int(world[0, _KIND_AT])], tuple(Seas.of([new]))
+        draw_sea(self.rows[i], world[0], self.shared, states, seas, table, self._scratch)
+        self._fill_loads(i, new)
         if self.dof == 6:
             float_on_sea(self.rows[i], self.config, self.factors)
 
-    def _fill(self, i: int, sea: Sea) -> None:
-        """Write a sea to the arrays of boat i."""
-        # where seas differ in their number of components, the others are zeros
-        for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
-            array[i] = 0.0
-            array[i, :, : components.shape[1]] = components
-        self.weather[i] = sea.weather
-        if self._loads.shape[1] > 0:
-            self._fill_loads(i, self.vessel_of(i), sea.waves)
+    def sea(self, i: int) -> Sea:
+        """Return the sea of boat i as it was drawn for this episode, a copy."""
+        count = np.count_nonzero(self.waves[i, OMEGA])
+        waves, gusts = self.waves[i, :, :count].copy(), self.gusts[i].copy()
+        return Sea(waves, gusts, self.weather[i].copy(), self.vessel_of(i))
 
-    def _fill_loads(self, i: int, vessel: Vessel, waves: np.ndarray) -> None:
-        """Write the loads of waves (7, M) on boat i."""
-        loads, self._loads[i] = load_rows(vessel, waves), 0.0
+    def _fill_loads(self, i: int, state: SeaState) -> None:
+        """Write the loads of the waves of a sea state on boat i."""
+        if self._loads.shape[1] == 0:
+            return
+        drawn = self.waves[i, :, : state.wave_components]
+        loads, self._loads[i] = load_rows(self.vessel_of(i), drawn), 0.0
         self._loads[i, : len(loads), :, : loads.shape[2]] = loads
 
     def step(self, cmd: np.ndarray) -> None:

@@ -1,8 +1,4 @@
-"""What is drawn of sea and faults where an episode begins, in compiled code.
-
-It equals what :meth:`usv_gym.world.sea.SeaState.realise` and
-:func:`usv_gym.world.faults.seed_faults` draw from the same generators, to the bit.
-"""
+"""What is drawn of sea and faults where an episode begins, in compiled code."""
 
 from __future__ import annotations
 
@@ -33,6 +29,7 @@ from usv_gym.world.realisation import (
     drift_scratch,
     fill_rows,
     gust_rows,
+    interpolated,
     pm_components,
     sum_drift,
     sum_regression,
@@ -44,7 +41,7 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.random import STREAM, below, fill_uniform, start_stream
 from usv_kernel.records import Record, as_record, as_records, field_at, record_size
 
-__all__ = ["SEA", "DriftTable", "FaultSets", "draw_start", "is_compiled", "sea_record"]
+__all__ = ["SEA", "DriftTable", "FaultSets", "Seas", "draw_sea", "draw_start"]
 
 SEA = np.dtype(
     [
@@ -56,11 +53,13 @@ SEA = np.dtype(
         ("current_north", float),  # m/s
         ("current_east", float),
         ("keyframes", float),
-        ("components", float),  # of the waves; 0: SeaState.realise draws this sea
+        ("components", float),  # of the waves
+        ("tabled", float),  # 1 if their frequencies come from a table, see SeaState.frequencies
+        ("spread", float),  # 1 if they go various ways, see SeaState.directions
         ("gusts", float),  # place of their spectrum; -1: none
         ("weather", WEATHER),  # without current and mean drift
-        # waves whose mean drift is summed: see realisation.sum_regression
-        ("drift_waves", float, (4, DRIFT_WAVES)),
+        # waves whose mean drift is summed: see SeaState.drift_waves
+        ("drift_waves", float, (3, DRIFT_WAVES)),
         # mean drift that was summed last, and of which kind, length and direction it is
         ("drift", float, (waves.LOAD_HEADINGS, 3)),
         ("drift_of", float, 3),
@@ -73,12 +72,29 @@ _SEA_WEATHER_AT = field_at(SEA, "weather")
 _WEATHER_SIZE = record_size(WEATHER)
 
 
-def is_compiled(state: SeaState) -> bool:
-    """Return whether kernels draw the seas of a state: those by energy of a long-crested PM sea."""
-    return state.hs == 0.0 or (state.is_closed_form and state.spreading is None)
+class Seas(NamedTuple):
+    """Sea states, of which kernels draw seas."""
+
+    rows: NDArray[np.float64]
+    """Flat records (S, ...) of :data:`SEA`."""
+    frequencies: NDArray[np.float64]
+    """:attr:`SeaState.frequencies` (S, 3, P), filled up with the last."""
+    directions: NDArray[np.float64]
+    """:attr:`SeaState.directions` (S, 2, P), filled up with the last."""
+
+    @classmethod
+    def of(cls, states: Sequence[SeaState]) -> Seas:
+        """Return those of sea states."""
+        return cls(
+            np.array([_sea_record(one) for one in states], SEA)
+            .view(float)
+            .reshape(len(states), -1),
+            _stacked([one.frequencies for one in states]),
+            _stacked([one.directions for one in states]),
+        )
 
 
-def sea_record(state: SeaState) -> Record:
+def _sea_record(state: SeaState) -> Record:
     """Return a record of :data:`SEA`."""
     record = np.zeros(1, SEA)[0]
     for name in ("hs", "wind", "wind_from", "waves_to"):
@@ -88,14 +104,23 @@ def sea_record(state: SeaState) -> Record:
     record["current_east"] = state.current * math.sin(state.current_to)
     record["keyframes"] = max(len(state.schedule), 1)
     record["weather"] = state.mean_weather
-    has_gusts = state.wind > 0.0 and state.gusts != "none"
-    record["gusts"] = GUSTS.index(state.gusts) if has_gusts else -1.0
+    record["gusts"] = GUSTS.index(state.gusts) if state.gust_components else -1.0
     record["drift_of"] = math.nan
-    if state.hs > 0.0 and is_compiled(state):
+    record["tabled"], record["spread"] = state.frequencies.size > 0, state.spreading is not None
+    if state.hs > 0.0:
         record["components"] = state.components
-        omega, amplitude, aside = state.drift_waves
-        record["drift_waves"] = omega, amplitude, np.ones(DRIFT_WAVES), aside
+        record["drift_waves"] = state.drift_waves
     return record
+
+
+def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return tables (R, P) as one array, the shorter ones filled up with their last column."""
+    most = max(table.shape[1] for table in tables)
+    filled = np.zeros((len(tables), len(tables[0]), most))
+    for into, table in zip(filled, tables, strict=True):
+        if table.size:
+            into[:, : table.shape[1]], into[:, table.shape[1] :] = table, table[:, -1:]
+    return filled
 
 
 class DriftTable(NamedTuple):
@@ -108,16 +133,21 @@ class DriftTable(NamedTuple):
     scratch: NDArray[np.float64]
     length: float
     """Of the boat of the table, m."""
+    reflected: NDArray[np.float64]
+    """Of the regression, see :func:`usv_gym.world.realisation.reflected_share`."""
 
     @classmethod
     def of(cls, vessel: Vessel) -> DriftTable:
         """Return the table of a vessel."""
-        table = vessel.hydro
+        table, reflected = vessel.hydro, np.zeros((2, 0))
         if table is None or table.drift_around is None:
-            return cls(np.zeros(0), np.zeros((0, 0, 3)), np.zeros(0), 1.0)
+            if vessel.two_hulls:  # waves pass below shallow pontoons
+                k_draft = np.geomspace(1e-4, 20.0, 2001)
+                reflected = np.stack([k_draft, waves.reflected_by_draft(k_draft, 1.0)])
+            return cls(np.zeros(0), np.zeros((0, 0, 3)), np.zeros(0), 1.0, reflected)
         values = table.drift_around
         scratch = np.zeros(drift_scratch(values.shape))
-        return cls(table.omega.copy(), values.copy(), scratch, table.length)
+        return cls(table.omega.copy(), values.copy(), scratch, table.length, reflected)
 
 
 class FaultSets:
@@ -203,24 +233,61 @@ def _draw_faults(row, world, config, states, sets, scratch):
 
 
 @inlined
-def _draw_waves(row, config, sea, p, stream, to):
-    """Draw the components of waves that go ``to``."""
+def _draw_waves(row, config, sea, p, stream, to, frequencies, directions):
+    """Draw the components of waves that go ``to``, on the whole."""
     width, count = int(config.wave_components), int(sea.components)
     rows = shaped(row, config.waves_at, (waves.WAVE_ROWS, width))
     rows[:] = 0.0
     if count == 0:
         return
-    omega = shaped(row, config.waves_at + waves.OMEGA * width, (count,))
-    phase = shaped(row, config.waves_at + waves.PHASE * width, (count,))
+    omega, phase = rows[waves.OMEGA, :count], rows[waves.PHASE, :count]
+    amplitude, aside = rows[waves.AMPLITUDE, :count], rows[waves.K_NORTH, :count]
     fill_uniform(stream, omega)
     fill_uniform(stream, phase)
-    pm_components(sea.hs, omega)
-    amplitude, north, east = sea.hs / math.sqrt(8.0 * count), math.cos(to), math.sin(to)
+    amplitude[:] = sea.hs / math.sqrt(8.0 * count)
+    if sea.tabled > 0.0:
+        _take_frequencies(sea.hs, frequencies, omega, amplitude)
+    else:
+        pm_components(sea.hs, omega)
+    if sea.spread > 0.0:
+        _draw_directions(stream, directions, aside, rows[waves.K_EAST, :count])
     for i in range(count):
         phase[i] *= 2.0 * math.pi
-        rows[waves.AMPLITUDE, i] = amplitude
-        rows[waves.K_NORTH, i], rows[waves.K_EAST, i] = north, east
+        direction = to + aside[i]
+        rows[waves.K_NORTH, i], rows[waves.K_EAST, i] = math.cos(direction), math.sin(direction)
     fill_rows(rows, count, p.water_density * GRAVITY, p.draft)
+
+
+@inlined
+def _take_frequencies(hs, table, omega, amplitude):
+    """Replace uniform numbers (M,) by frequencies (rad/s), and write the amplitudes (m).
+
+    One lies at random in each of M bins: the sea never repeats.
+    """
+    count, total = omega.shape[0], 0.0
+    for i in range(count):
+        number = (i + omega[i]) / count
+        omega[i] = interpolated(number, table[0], table[1])
+        amplitude[i] = interpolated(number, table[0], table[2])
+        total += amplitude[i]
+    for i in range(count):
+        amplitude[i] = hs * math.sqrt(amplitude[i] / (8.0 * total))
+
+
+@inlined
+def _draw_directions(stream, table, aside, scratch):
+    """Draw directions off the mean (M,), rad: one in each of M bins of equal energy, shuffled.
+
+    Source of the shuffle: Durstenfeld 1964 (Algorithm 235).
+    """
+    count = aside.shape[0]
+    fill_uniform(stream, aside)
+    fill_uniform(stream, scratch)
+    for i in range(count):
+        aside[i] = interpolated((i + aside[i]) / count, table[0], table[1])
+    for i in range(count - 1, 0, -1):
+        k = int(scratch[i] * (i + 1))
+        aside[i], aside[k] = aside[k], aside[i]
 
 
 @inlined
@@ -236,10 +303,9 @@ def _draw_gusts(row, config, sea, stream):
 @inlined
 def _add_drift(weather, sea, p, kind, to, table):
     """Write the mean drift of waves that go ``to``; that of the last boat is kept."""
-    omega, values, scratch, length = table
+    omega, values, scratch, length, reflected = table
     if omega.shape[0] == 0:
-        weight = p.water_density * GRAVITY
-        sum_regression(sea.drift_waves, to, p.length_waterline, weight, weather.drift_sums)
+        sum_regression(sea.drift_waves[:], to, p, reflected, weather.drift_sums[:])
         return
     same = sea.drift_of[0] == kind and sea.drift_of[1] == p.length_waterline
     if not (same and sea.drift_of[2] == to):
@@ -252,34 +318,14 @@ def _add_drift(weather, sea, p, kind, to, table):
     weather.drift_tabled = 1.0
 
 
-@kernel
-def draw_start(
-    row: np.ndarray,
-    world: np.ndarray,
-    shared: np.ndarray,
-    states: np.ndarray,
-    seas: np.ndarray,
-    table: tuple[np.ndarray, np.ndarray, np.ndarray, float],
-    sets: tuple[np.ndarray, ...],
-    scratch: np.ndarray,
-) -> None:
-    """Draw sea and faults of one boat, and write them to its row.
-
-    ``world`` and ``seas`` (S, ...) are flat memory of WORLD and SEA; what was drawn is noted in the
-    former. ``states`` (11 or more, 4) start generators in the order of ``streams.KEYS``. ``table``
-    holds the fields of :class:`DriftTable`, ``sets`` are :meth:`FaultSets.arrays`. ``scratch`` (4,
-    8) is uint64. A sea that is not compiled is left to :meth:`SeaState.realise`.
-    """
-    boat, begin = as_record(row, BOAT), as_record(world, WORLD)
-    config = as_record(shared, SIMULATION)
-    stream, number = scratch[2, STREAM : 2 * STREAM], 0
-    if seas.shape[0] > 1:
-        start_stream(states[streams.SEA], stream)
-        number = below(stream, seas.shape[0])
-    begin.sea = number
-    sea, weather, p = as_record(seas[number], SEA), boat.weather, boat.vessel
+@inlined
+def _draw_sea(row, config, begin, number, seas, table, states, stream):
+    """Draw waves and gusts of a sea state, and write them and the weather to a boat's row."""
+    boat = as_record(row, BOAT)
+    rows, frequencies, directions = seas
+    sea, weather, p = as_record(rows[number], SEA), boat.weather, boat.vessel
     for k in range(_WEATHER_SIZE):
-        row[_WEATHER_AT + k] = seas[number, _SEA_WEATHER_AT + k]
+        row[_WEATHER_AT + k] = rows[number, _SEA_WEATHER_AT + k]
     turn = 0.0 if math.isnan(begin.wind_from) else begin.wind_from - sea.wind_from
     for k in range(int(sea.keyframes)):
         weather.wind_from[k] += turn
@@ -288,10 +334,52 @@ def draw_start(
         weather.current_north, weather.current_east = sea.current_north, sea.current_east
     to = sea.waves_to + (turn if sea.waves_follow > 0.0 else 0.0)
     start_stream(states[streams.WAVES], stream)
-    _draw_waves(row, config, sea, p, stream, to)
+    _draw_waves(row, config, sea, p, stream, to, frequencies[number], directions[number])
     start_stream(states[streams.GUSTS], stream)
     _draw_gusts(row, config, sea, stream)
     if sea.components > 0.0:
         _add_drift(weather, sea, p, begin.kind, to, table)
+
+
+@kernel
+def draw_sea(
+    row: np.ndarray,
+    world: np.ndarray,
+    shared: np.ndarray,
+    states: np.ndarray,
+    seas: tuple[np.ndarray, ...],
+    table: tuple[Any, ...],
+    scratch: np.ndarray,
+) -> None:
+    """Draw a sea of the first of ``seas``, and write it to a boat's row, see :func:`draw_start`."""
+    begin, config = as_record(world, WORLD), as_record(shared, SIMULATION)
+    _draw_sea(row, config, begin, 0, seas, table, states, scratch[2, STREAM : 2 * STREAM])
+
+
+@kernel
+def draw_start(
+    row: np.ndarray,
+    world: np.ndarray,
+    shared: np.ndarray,
+    states: np.ndarray,
+    seas: tuple[np.ndarray, ...],
+    table: tuple[Any, ...],
+    sets: tuple[np.ndarray, ...],
+    scratch: np.ndarray,
+) -> None:
+    """Draw sea and faults of one boat, and write them to its row.
+
+    ``world`` is flat memory of WORLD, where is noted what was drawn. ``states`` (11 or more, 4)
+    start generators in the order of ``streams.KEYS``. ``seas`` and ``table`` hold the fields of
+    :class:`Seas` and :class:`DriftTable`, ``sets`` are :meth:`FaultSets.arrays`. ``scratch`` (4, 8)
+    is uint64.
+    """
+    begin, config = as_record(world, WORLD), as_record(shared, SIMULATION)
+    stream, number = scratch[2, STREAM : 2 * STREAM], 0
+    if seas[0].shape[0] > 1:
+        start_stream(states[streams.SEA], stream)
+        number = below(stream, seas[0].shape[0])
+    begin.sea = number
+    _draw_sea(row, config, begin, number, seas, table, states, stream)
     if config.fault_count > 0:
         _draw_faults(row, begin, config, states, sets, scratch)

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from tests.usv_gym.world.seas import realise
 from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
 from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import GRAVITY, hull, propulsion, ship, waves
@@ -93,9 +94,8 @@ def helm(n: float, delta_deg: float) -> np.ndarray:
 
 
 def a_sea(seed: int, boat: Vessel = BOAT, **kwargs: float) -> Sea:
-    rng = np.random.default_rng(seed)
     state = SeaState(**{"hs": 0.5, "wind": 4.5, "components": 20, **kwargs})  # type: ignore[arg-type]
-    return state.realise(boat, rng, rng)
+    return realise(state, seed, boat)
 
 
 @pytest.mark.parametrize("knots", [3.0, 8.0, 15.0, 25.0, 38.0])
@@ -284,7 +284,7 @@ def test_a_sea_of_no_height_is_no_sea(
     flat = dataclasses.replace(flat, weather=wx.constant())
     calm = derivative(state, dof=dof)
     np.testing.assert_array_equal(derivative(state, sea=flat, dof=dof), calm)
-    named = SeaState.named("calm").realise(BOAT, np.random.default_rng(0), np.random.default_rng(0))
+    named = realise(SeaState.named("calm"))
     np.testing.assert_array_equal(derivative(state, sea=named, dof=dof), calm)
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.usv_gym.world.seas import realise
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import GRAVITY, spectra, waves
 
@@ -118,8 +119,7 @@ def test_sincos_is_exact_at_the_seams_of_its_reduction() -> None:
 @given(st.floats(-3e3, 3e3), st.floats(-3e3, 3e3), st.floats(0.0, 4e3), st.integers(0, 2**32))
 @settings(max_examples=60, deadline=None)
 def test_elevation_is_the_plain_sum(x: float, y: float, t: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    rows = SeaState(hs=0.5).realise(BOAT, rng, rng).waves
+    rows = realise(SeaState(hs=0.5), seed).waves
     phase = (
         rows[waves.K_NORTH] * x + rows[waves.K_EAST] * y - rows[waves.OMEGA] * t + rows[waves.PHASE]
     )
@@ -270,9 +270,8 @@ def drift_sums(hs: float = 0.5) -> np.ndarray:
 def test_drift_sums_of_a_realised_sea() -> None:
     """A sea of a few components has the drift of its spectrum, in the direction of its waves."""
     direction = math.radians(40.0)
-    rng = np.random.default_rng(5)
     state = SeaState(hs=0.5, wave_to=direction, components=3)
-    sea = state.realise(BOAT.without_table(), rng, rng)
+    sea = realise(state, 5, BOAT.without_table())
     drift = sea.weather["drift_sums"]
     fine = drift_sums()
     np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.01)
@@ -283,8 +282,7 @@ def test_drift_sums_of_a_realised_sea() -> None:
 
 def test_mean_drift_pushes_along_the_waves() -> None:
     """A head sea pushes astern, a sea from port pushes to starboard ."""
-    rng = np.random.default_rng(5)
-    sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT.without_table(), rng, rng)
+    sea = realise(SeaState(hs=0.5, wave_to=0.0), 5, BOAT.without_table())
     drift = sea.weather["drift_sums"].copy()
     following, head = waves.mean_drift_loads(0.0, drift), waves.mean_drift_loads(math.pi, drift)
     assert following[0] > 0.0

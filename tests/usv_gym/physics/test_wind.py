@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.usv_gym.world.seas import realise
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship, weather, wind
@@ -99,8 +100,7 @@ def test_wind_load_vanishes_with_the_wind() -> None:
 @given(t=st.floats(0.0, 4000.0))
 @settings(max_examples=50, deadline=None)
 def test_gust_is_the_plain_sum(t: float) -> None:
-    rng = np.random.default_rng(1)
-    gusts = SeaState(wind=8.0).realise(BOAT, rng, rng).gusts
+    gusts = realise(SeaState(wind=8.0), 1).gusts
     # rounding of phases up to 1e4 rad
     assert wind.gust(t, gusts) == pytest.approx(
         np.sum(gusts[2] * np.cos(gusts[0] * t + gusts[1])), abs=1e-10

@@ -9,10 +9,14 @@ from scipy.signal import welch
 
 from usv_gym import SeaState, Vessel
 from usv_gym.world.realisation import Sea
+from usv_gym.world.simulation import Simulation
 
 
-def realise(state: SeaState, seed: int = 0) -> Sea:
-    return state.realise(Vessel.load("usv75"), *np.random.default_rng(seed).spawn(2))
+def realise(state: SeaState, seed: int = 0, vessel: str | Vessel = "usv75") -> Sea:
+    """Return the sea that a boat of a seed begins in."""
+    simulation = Simulation(1, vessel, state)
+    simulation.reset([0], [np.random.default_rng(seed)])
+    return simulation.sea(0)
 
 
 def an_hour(sea: Sea, segment: float = 200.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

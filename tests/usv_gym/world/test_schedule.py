@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
-from usv_gym import SEA_STATES, SeaKeyframe, SeaState, Vessel
+from tests.usv_gym.world.seas import realise
+from usv_gym import SEA_STATES, SeaKeyframe, SeaState
 from usv_gym.physics import weather as wx
 from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.schedule import changing_sea, parse_values
@@ -66,8 +67,7 @@ def test_times_of_both_are_joined_and_the_wind_turns_the_short_way() -> None:
 
 def wind_at(state: SeaState, t: float) -> tuple[float, float]:
     """Return speed (m/s) and direction (degrees) of the mean wind."""
-    quiet = np.random.default_rng(0)
-    sea = state.replace(gusts="none").realise(Vessel.load("usv75"), quiet, quiet)
+    sea = realise(state.replace(gusts="none"))
     north, east = wx.air_velocity(t, sea.gusts, sea.weather)
     return math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
 

@@ -243,9 +243,7 @@ def test_spread_waves_drift_less() -> None:
     """Mean drift is summed over directions; cos^2 leaves 8/(3 pi) of it along the mean."""
     boat = Vessel.load("usv75").without_table()
     one, spread = (
-        SeaState(hs=0.5, wave_to=0.0, spreading=s)
-        .realise(boat, *np.random.default_rng(0).spawn(2))
-        .weather["drift_sums"][2]
+        realise(SeaState(hs=0.5, wave_to=0.0, spreading=s), 0, boat).weather["drift_sums"][2]
         for s in (None, 1.0)
     )
     assert spread / one == pytest.approx(8.0 / (3.0 * math.pi), rel=0.02)

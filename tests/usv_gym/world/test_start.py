@@ -1,4 +1,4 @@
-"""Kernels draw the start of an episode as Python does, to the bit."""
+"""What the start of an episode draws: its sea, and its faults."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from tests.usv_gym.world.seas import realise
 from usv_gym import Fault, SeaState, Vessel
+from usv_gym.hydro.table import between
+from usv_gym.physics import GRAVITY, waves
 from usv_gym.world.faults import (
     STRUCK,
     Bursts,
@@ -18,7 +21,7 @@ from usv_gym.world.faults import (
     strike,
 )
 from usv_gym.world.simulation import Simulation
-from usv_gym.world.start import FaultSets, is_compiled
+from usv_gym.world.start import FaultSets
 
 SEAS = {
     "calm": SeaState(),
@@ -51,26 +54,49 @@ def begun(simulation: Simulation, seed: int) -> tuple[dict[str, np.random.Genera
 
 @pytest.mark.parametrize("boat", BOATS)
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_started_sea_is_the_one_that_is_realised(boat, turned) -> None:
+def test_a_sea_comes_from_the_generators_of_its_boat(boat, turned) -> None:
+    """Which one, its phases and frequencies, and where wind, current and waves go."""
     vessel, states = BOATS[boat], list(SEAS.values())
     simulation, seen = Simulation(1, vessel, states), set()
     if turned:
         for name, value in (("wind_from", 0.3), ("current_north", 0.2), ("current_east", -0.1)):
             simulation.worlds[name] = value
-    given = {"wind_from": 0.3, "current": (0.2, -0.1)} if turned else {}
     for seed in range(40):
         rngs, number = begun(simulation, seed)
         assert number == rngs["sea"].integers(len(states))
-        sea = states[number].realise(vessel, rngs["waves"], rngs["gusts"], **given)
         seen.add(number)
-        for ours, theirs in ((simulation.waves, sea.waves), (simulation.gusts, sea.gusts)):
-            np.testing.assert_array_equal(ours[0, :, : theirs.shape[1]], theirs)
-            assert not ours[0, :, theirs.shape[1] :].any()
-        for name in sea.weather.dtype.names:
-            if name not in ("speed_drift", "from_drift"):  # those are drawn later
-                ours, theirs = simulation.weather[0][name], sea.weather[name]
-                np.testing.assert_array_equal(ours, theirs, err_msg=name)
+        state, sea = states[number], simulation.sea(0)
+        within, turns = rngs["waves"].random((2, sea.waves.shape[1]))
+        np.testing.assert_allclose(sea.waves[waves.PHASE], math.tau * turns, rtol=1e-15)
+        assert sea.waves.shape[1] == (state.components if state.hs > 0.0 else 0)
+        wind_from = 0.3 if turned else state.wind_from
+        current = state.current * np.exp(1j * state.current_to) if not turned else 0.2 - 0.1j
+        assert complex(sea.weather["current_north"], sea.weather["current_east"]) == current
+        if not state.schedule:
+            assert sea.weather["wind_from"][0] == pytest.approx(wind_from, rel=1e-12)
+        if state.hs == 0.0:
+            continue
+        if state.is_closed_form:
+            # energy below a frequency: S = A omega^-5 exp(-B omega^-4), A = .0081 g^2, B = 4 A/hs^2
+            share = np.exp(-0.0324 * (GRAVITY / state.hs) ** 2 / sea.waves[waves.OMEGA] ** 4)
+            bins = (np.arange(state.components) + within) / state.components
+            np.testing.assert_allclose(share, bins, rtol=1e-9)
+        north, east = sea.waves[[waves.K_NORTH, waves.K_EAST]]
+        to = wind_from + math.pi if state.wave_to is None else state.wave_to
+        if state.spreading is None and not state.schedule:
+            np.testing.assert_allclose(np.exp(1j * np.arctan2(east, north)), np.exp(1j * to))
     assert len(seen) == len(states)
+
+
+def test_a_changed_sea_is_one_of_its_own_wind_and_current() -> None:
+    simulation = Simulation(1, "usv75", "0", changing=True)
+    simulation.worlds["wind_from"], simulation.worlds["current_north"] = 0.3, 0.2
+    simulation.reset([0], [np.random.default_rng(0)])
+    simulation.change_sea(0, SEAS["spread"], np.random.default_rng(1))
+    sea = simulation.sea(0)
+    assert sea.weather["current_north"] == 0.0
+    assert sea.weather["wind_from"][0] == SEAS["spread"].wind_from
+    assert sea.waves.shape[1] == SEAS["spread"].components
 
 
 def test_mean_drift_is_that_of_each_boat_and_sea() -> None:
@@ -80,15 +106,28 @@ def test_mean_drift_is_that_of_each_boat_and_sea() -> None:
     for wind_from in (0.1, 0.1, 2.0, math.nan, 0.1):
         simulation.worlds["wind_from"] = wind_from
         simulation.reset([0, 1], [np.random.default_rng(k) for k in range(2)])
-        turn = {} if math.isnan(wind_from) else {"wind_from": wind_from}
-        sea = state.realise(boat, *np.random.default_rng(0).spawn(2), **turn)
+        alone = state if math.isnan(wind_from) else state.turned(wind_from)
         for weather in simulation.weather:
-            np.testing.assert_array_equal(weather["drift_table"], sea.weather["drift_table"])
+            found, own = weather["drift_table"], realise(alone, 9, boat).weather["drift_table"]
+            np.testing.assert_allclose(found, own, rtol=1e-12)
 
 
-def test_seas_that_python_draws_are_those_beyond_the_common() -> None:
-    python = {name for name, state in SEAS.items() if not is_compiled(state)}
-    assert python == {"spread", "jonswap"}
+def test_drift_of_spread_waves_is_that_of_the_waves_each() -> None:
+    """Beside a sum over the table, wave by wave."""
+    vessel, state = BOATS["usv75"], SEAS["spread"].replace(wave_to=0.4)
+    found = realise(state, 0, vessel).weather["drift_table"]
+    omega, amplitude, aside = state.drift_waves
+    table, wanted = vessel.hydro, np.zeros((len(found), 3))
+    scale = vessel.values["length_waterline"] / table.length
+    drift = between(omega * math.sqrt(scale), table.omega, table.drift_around)
+    drift *= (np.minimum(omega * math.sqrt(scale) / table.omega[0], 1.0) ** 4)[:, None, None]
+    lobes = np.fft.fft(drift, axis=1) / drift.shape[1]
+    for h in range(len(found)):
+        angle = 0.4 + aside - math.tau * h / len(found)
+        order = np.fft.fftfreq(drift.shape[1], 1.0 / drift.shape[1])
+        turned = np.real(np.sum(lobes * np.exp(1j * np.outer(angle, order))[:, :, None], axis=1))
+        wanted[h] = scale ** np.array([1, 1, 2]) * np.sum(amplitude[:, None] ** 2 * turned, axis=0)
+    np.testing.assert_allclose(found, wanted, atol=0.01 * np.abs(wanted).max())
 
 
 SETS = FaultSets(
