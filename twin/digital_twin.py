@@ -328,10 +328,10 @@ class Twin:
         if math.isnan(self.t):
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
-        z = self.motion.take(t, dt, z, predictor.navigation, predictor.ready)
-        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
+        state, ready = predictor.navigation, predictor.ready
+        z, trusted, restart = monitor.take(t, dt, z, cmd, state, ready, self.motion.arrays(z))
         predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
-        if (restart := monitor.restart) is not None:
+        if restart is not None:
             predictor.begin_again(restart)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd

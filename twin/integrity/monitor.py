@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from twin.channels import MEASUREMENTS
 from twin.checkpoint import State, check_fields, fill
 from twin.filters.navigation_state import RESTART
-from twin.integrity.checks import check_sensors, write_restart
+from twin.integrity.checks import check_sensors
+from twin.integrity.sensing import sense_row
 from twin.integrity.state import (
     INTEGRITY,
     INTEGRITY_SETTINGS,
@@ -25,7 +26,7 @@ from twin.integrity.state import (
 )
 from twin.particulars import Particulars
 from usv_kernel.jit import kernel
-from usv_kernel.records import as_record, field_at
+from usv_kernel.records import as_record, field_at, record_size
 
 __all__ = ["SensorMonitor", "SensorStatus", "run_over", "statuses_of"]
 
@@ -54,20 +55,6 @@ class SensorStatus(NamedTuple):
         """Return it in words, such as ``excluded since 88.4 s: gps jumped``."""
         since = f" since {self.since:.1f} s" if math.isfinite(self.since) else ""
         return f"{self.status}{since}" + (f": {self.why}" if self.why else "")
-
-
-@kernel
-def _check(dt, z, cmd, s, ready, memory, settings, out):
-    """Do :func:`check_sensors` on flat memory."""
-    record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
-    check_sensors(dt, z, cmd, s, ready, record, given, out)
-
-
-@kernel
-def _restart(memory, settings, restart):
-    """Do :func:`write_restart` on flat memory."""
-    record, given = as_record(memory, INTEGRITY), as_record(settings, INTEGRITY_SETTINGS)
-    write_restart(record, given, as_record(restart, RESTART))
 
 
 def statuses_of(record: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
@@ -114,7 +101,7 @@ class SensorMonitor:
     def __init__(self, particulars: Particulars) -> None:
         self._settings = integrity_settings(particulars)
         self._initial = initial_integrity(particulars)
-        self._out = np.full(len(MEASUREMENTS), math.nan)
+        self._restart = np.zeros(record_size(RESTART))
         self.remember(self._initial.copy())
 
     def remember(self, memory: Array) -> None:
@@ -126,14 +113,13 @@ class SensorMonitor:
         return {
             "settings": self._settings,
             "initial": self._initial,
-            "out": self._out,
             "memory": self.memory,
         }
 
     def __setstate__(self, state: dict[str, Array]) -> None:
         """Become a copy."""
-        self._settings, self._out = state["settings"], state["out"]
-        self._initial = state["initial"]
+        self._settings, self._initial = state["settings"], state["initial"]
+        self._restart = np.zeros(record_size(RESTART))
         self.remember(state["memory"])
 
     def reset(self) -> None:
@@ -156,45 +142,32 @@ class SensorMonitor:
         return bool(self.record["motion_doubted"] > 0.0)
 
     @property
-    def restart(self) -> Any:
-        """Where the navigation begins again (``RESTART``) before this row; None: it goes on."""
-        if self.memory[_SWITCHED] == 0.0:
-            return None
-        _restart(self.memory, self._settings, restart := np.zeros(RESTART.itemsize // 8))
-        return restart.view(RESTART)[0]
-
-    @property
     def doubts_wind(self) -> bool:
         """True while an anemometer is at fault, or silent after it was used."""
         return bool(self.memory[_WIND_REASON] > 0.0 or self.memory[_WIND_KNOWN] > 0.0) and (
             self.memory[_WIND_STATUS] != OK
         )
 
-    def check(
-        self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
-    ) -> tuple[Array, Array]:
-        """Take a row, and return what of it can be trusted.
+    def take(
+        self, t: float, dt: float, z: Array, cmd: Array, state: Array, ready: bool, motion: Any
+    ) -> tuple[Array, Array, Any]:
+        """Take a row, and return what of it can be trusted; see :func:`sense`.
 
-        Parameters
-        ----------
-        dt : float
-            Time since the row before, s.
-        z, cmd : ndarray, shapes (19,), (4,)
-            Measurements and commands.
-        state : ndarray, shape (6,)
-            What the predictor said of the boat after the row before.
-        ready : bool
-            Whether that means anything.
+        ``motion`` are the arrays of :meth:`twin.motion.deck_motion.DeckMotion.arrays`.
 
         Returns
         -------
         z, cmd : ndarray, shapes (19,), (4,)
-            The row without impossible numbers and excluded sensors, which are NaN; and its
-            command, or the last one that was trusted.
+            The row without what cannot be trusted; its command, or the last one that was trusted.
+        restart : record of ``RESTART``, or None
+            Where the navigation begins again before this row; None: it goes on.
         """
+        used, trusted, restart = np.empty(len(z)), np.empty(len(cmd)), self._restart
         state = np.ascontiguousarray(state)
-        _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
-        return self._out.copy(), self.trusted(cmd)
+        given = self.memory, self._settings, motion
+        sense_row(t, dt, z.copy(), cmd, state, ready, *given, used, trusted, restart)
+        again = self.memory.item(_SWITCHED) > 0.0
+        return used, trusted, restart.view(RESTART)[0].copy() if again else None
 
     def trusted(self, cmd: Array) -> Array:
         """Return the command (4,), or the last one that was trusted while it is in doubt."""

@@ -181,13 +181,6 @@ def accelerations_ahead(times, states, start, ahead):
 
 
 @kernel
-def _take(t, dt, z, state, ready, memory, given, work):
-    """Do :func:`take_row` on flat memory."""
-    records = as_record(memory, MOTION), as_record(given, MOTION_SETTINGS)
-    take_row(t, dt, z, state, ready, records[0], records[1], as_record(work, MOTION_WORK))
-
-
-@kernel
 def _forecast(times, states, start, memory, given, work):
     """Write means, variances and probabilities to the scratch."""
     own, of, scratch = (
@@ -373,27 +366,14 @@ class DeckMotion:
         """Whether a row had a sample of one of ``usv_kernel.channels.MOTION_CHANNELS``."""
         return self._memory is not None and bool(self._memory[_ROWS] > 0.0)
 
-    def take(self, t: float, dt: float, z: Array, state: Array, ready: bool) -> Array:
-        """Take a row, and return it as it would be on an upright boat.
+    def arrays(self, z: Array) -> tuple[Any, Any, Any]:
+        """Return memory (1, ...), settings and scratch; None where no row shows such motion.
 
-        Parameters
-        ----------
-        t, dt : float
-            Time, and time since the row before, s.
-        z : ndarray, shape (19,)
-            In the order of ``twin.channels.MEASUREMENTS``; left as it is.
-        state : ndarray, shape (6,)
-            What the twin said of the boat after the row before.
-        ready : bool
-            Whether that means anything.
+        Neither the row (19,), nor one before.
         """
         if not (self.active or is_measured(z)):
-            return z
-        z = z.copy()
-        _take(
-            t, dt, z, np.ascontiguousarray(state), ready, self.memory, self.settings, self.scratch
-        )
-        return z
+            return None, None, None
+        return self.memory[None], self.settings, self.scratch
 
     def estimate(self) -> MotionEstimate | None:
         """Return attitude and vertical motion at the last row; None where nothing measures them."""

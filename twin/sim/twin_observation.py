@@ -14,7 +14,8 @@ from twin.identification.joint_ukf import (
     filter_state,
     filter_workspace,
 )
-from twin.integrity.checks import check_sensors, write_restart
+from twin.integrity.checks import write_restart
+from twin.integrity.sensing import sense
 from twin.integrity.state import INTEGRITY, INTEGRITY_SETTINGS, SENSORS
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
@@ -26,7 +27,6 @@ from twin.motion.deck_motion import (
     Z90,
     accelerations_ahead,
 )
-from twin.motion.deck_motion import take_row as take_motion_row
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
 from twin.motion.forecast_state import N_CHANNELS, PITCH, QUIET_SPANS
@@ -252,37 +252,6 @@ def take_row(boat, note):
 
 
 @inlined
-def _check_row(dt, boat, note, nav, given):
-    """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
-    health, ready = note.health, nav.begun > 0.0
-    state = nav.n[:N_STATES]
-    check_sensors(dt, note.z[:], boat.reported[:], state, ready, health, given, note.used[:])
-    nav.commands_doubted = health.commands_doubted
-    nav.motion_doubted = health.motion_doubted
-    if health.switched > 0.0:
-        write_restart(health, given, nav.restart)
-    for k in range(N_ACT):
-        note.trusted[k] = (
-            health.drives.trusted[k] if health.commands_doubted > 0.0 else boat.reported[k]
-        )
-
-
-@inlined
-def _take_motion(dt, i, boat, note, nav, boats, motions):
-    """Take roll, pitch and heave from a row, and make it that of an upright boat.
-
-    Without motions nothing of it is compiled.
-    """
-    if motions is None:
-        return
-    memory, work = as_record(motions[i], MOTION), as_record(boats.motion_work, MOTION_WORK)
-    given = as_record(boats.motion_settings, MOTION_SETTINGS)
-    state, ready = nav.n[:N_STATES], nav.begun > 0.0
-    take_motion_row(note.last, dt, note.z[:], state, ready, memory, given, work)
-    note_attitude(boat, note, memory.attitude)
-
-
-@inlined
 def note_attitude(boat, note, attitude):
     """Note roll and pitch, by the twin and by the truth."""
     note.roll[0], note.roll[1] = attitude.tilt[0, ANGLE], attitude.tilt[1, ANGLE]
@@ -340,6 +309,14 @@ def describe_motion(s, note, memory, given, work, obs):
     obs[at + 2], obs[at + 3] = (ahead, side) if directed else (0.0, 0.0)
     for j in range(obs.shape[0]):
         obs[j] = min(max(obs[j], -BOUND), BOUND)
+
+
+@inlined
+def _note_motion(i, motions, boat, note):
+    """Do :func:`note_attitude`, if there is any."""
+    if motions is None:
+        return
+    note_attitude(boat, note, as_record(motions[i], MOTION).attitude)
 
 
 @inlined
@@ -498,8 +475,14 @@ def _draws_ahead(note, gps_var, nav, sources, config, out, draws, normal):
 @inlined
 def _check(dt, i, boat, note, nav, boats, settings):
     """Do what comes before a twin takes a row."""
-    _take_motion(dt, i, boat, note, nav, boats, boats.motions)
-    _check_row(dt, boat, note, nav, settings.health)
+    health, given, state, ready = note.health, settings.health, nav.n[:N_STATES], nav.begun > 0.0
+    z, cmd, used, trusted = note.z[:], boat.reported[:], note.used[:], note.trusted[:]
+    motion = boats.motions, boats.motion_settings, boats.motion_work
+    sense(note.last, dt, z, cmd, state, ready, health, given, i, motion, used, trusted)
+    _note_motion(i, boats.motions, boat, note)
+    nav.commands_doubted, nav.motion_doubted = health.commands_doubted, health.motion_doubted
+    if health.switched > 0.0:
+        write_restart(health, given, nav.restart)
 
 
 @inlined

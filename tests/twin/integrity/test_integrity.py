@@ -140,7 +140,7 @@ def test_sound_sensors_are_silent(vessel, rate):
     monitor, seen = SensorMonitor(particulars_of(boat, suite(rate))), set()
     for k in range(len(log)):
         dt = log.t[k] - log.t[k - 1] if k else 0.0
-        monitor.check(dt, log.z[k], log.cmd[k], np.zeros(6), False)
+        monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, (None, None, None))
         seen |= {(name, one.status) for name, one in monitor.statuses(0.0).items()}
     assert {status for _, status in seen} <= {"ok", "absent"}
 
@@ -166,7 +166,7 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
         monitor = SensorMonitor(particulars)
         for k in range(len(log)):
             dt = log.t[k] - log.t[k - 1] if k else 0.0
-            monitor.check(dt, log.z[k], log.cmd[k], np.zeros(6), False)
+            monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, (None, None, None))
         one = monitor.record["bank"]["filters"][3]
         assert log.truth is not None
         error = one["x"][:2] - log.truth[-1, :2]
