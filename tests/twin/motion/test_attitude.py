@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.twin.motion.rows import take
 from twin import Log, Particulars
 from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, MEASUREMENTS
 from twin.motion import DeckMotion
@@ -62,7 +63,7 @@ def estimates(
         # the twin's velocity: good to a few cm/s
         state = log.truth[k].copy()
         state[3:5] += 0.03 * np.sin([0.7 * t, 0.9 * t])
-        motion.take(t, log.dt if k else 0.0, z[k], state, True)
+        take(motion, t, log.dt if k else 0.0, z[k], state, True)
         now = motion.estimate()
         found.append((now.roll, now.pitch, now.heave, now.vertical_speed))
         sd.append(now.sd)
@@ -111,7 +112,7 @@ def level_boat(rate: float, accel_bias: tuple[float, float], rows: int = 4000) -
     z[:, [ACCEL_X, ACCEL_Y, ACCEL_Z]] = force + 1e-3 * rng.standard_normal((rows, 3))
     for k in range(rows):
         state = np.array([0.0, 0.0, 0.05 * rate * k, 0.0, 0.0, rate])
-        motion.take(0.05 * k, 0.05 if k else 0.0, z[k], state, True)
+        take(motion, 0.05 * k, 0.05 if k else 0.0, z[k], state, True)
     return motion
 
 
@@ -140,7 +141,7 @@ def test_noise_of_gravity_is_what_the_innovations_show() -> None:
         z[:, ACCEL_Z] = -9.80665 + 1e-3 * rng.standard_normal(n)
         motion = DeckMotion(BOAT)
         for k in range(n):
-            motion.take(0.05 * k, 0.05 if k else 0.0, z[k], np.zeros(6), True)
+            take(motion, 0.05 * k, 0.05 if k else 0.0, z[k], np.zeros(6), True)
         density = motion.record["attitude"]["innovation"][:, 1]
         expected = 2.0 * 0.5 * (size / 9.80665) ** 2
         assert (density > 0.3 * expected).all()
@@ -189,7 +190,7 @@ def test_a_rolling_boat_is_followed_by_its_gyro_alone() -> None:
     state = np.zeros(6)
     errors = []
     for k, (t, phi) in enumerate(truths):
-        motion.take(t, 0.05 if k else 0.0, z[k], state, True)
+        take(motion, t, 0.05 if k else 0.0, z[k], state, True)
         errors.append(motion.estimate().roll - phi)
     assert np.std(errors[SETTLED:]) < 0.02 * 0.1
 
@@ -214,7 +215,7 @@ def test_an_upright_row_has_the_acceleration_without_gravity(typical: list[Log])
     log, motion = typical[1], DeckMotion(BOAT)
     raw, level = [], []
     for k, t in enumerate(log.t):
-        row = motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        row = take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
         u, v, r = log.truth[k, 3:]
         before = log.truth[max(k - 1, 0), 3:]
         true = np.array([(u - before[0]) / 0.05 - v * r, (v - before[1]) / 0.05 + u * r])
@@ -240,7 +241,7 @@ def test_a_dead_axis_is_reported_and_bridged(typical: list[Log]) -> None:
     z[900:, GYRO_X] = z[900, GYRO_X]
     errors = []
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, z[k], log.truth[k], True)
         errors.append(motion.estimate().roll - log.true_motion[k, 1])
     assert list(motion.troubles()) == ["gyro_x_radps"]
     status, age, why = motion.troubles()["gyro_x_radps"]
@@ -266,7 +267,7 @@ def test_a_dead_horizontal_axis_lifts_no_boat(
     assert np.degrees(rms(error[:, :2])).max() < 0.5
     motion = DeckMotion(BOAT)
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, z[k], log.truth[k], True)
     names = {ACCEL_X: {"accel_x_mps2"}, ACCEL_Y: {"accel_y_mps2"}, GYRO: set()}[column]
     assert set(motion.troubles()) == names
 
@@ -324,7 +325,7 @@ def test_any_rows_leave_the_estimate_finite(
     motion, t = DeckMotion(BOAT), 0.0
     for dt, z, state in rows:
         t += dt
-        motion.take(t, dt, np.array(z), np.array(state), True)
+        take(motion, t, dt, np.array(z), np.array(state), True)
     now = motion.estimate()
     if now is not None:
         assert np.isfinite(dataclasses.astuple(now)[:-1]).all()

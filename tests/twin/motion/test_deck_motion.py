@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.twin.motion.rows import take
 from twin import Log, Twin
 from twin.benchmark.motion_scores import MotionScore, MotionTruth, motion_table
 from twin.channels import (
@@ -46,7 +47,7 @@ def forecasts(log: Log, motion: DeckMotion, every: int = 20) -> list[MotionForec
     """Return forecasts after two minutes, by a twin that knows the true horizontal motion."""
     times, found = np.arange(0.25, 10.01, 0.25), []
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
         if t > 120.0 and k % every == 0 and t < log.t[-1] - 10.0:
             rows = k + np.rint(times / log.dt).astype(int)
             forecast = motion.forecast(times, log.truth[rows], log.truth[k])
@@ -116,7 +117,7 @@ def test_noise_is_forecast_as_its_mean() -> None:
     z[1:, GYRO_X] = np.diff(roll) / 0.05
     motion, state = DeckMotion(BOAT), np.zeros(6)
     for k in range(n):
-        motion.take(0.05 * k, 0.05 if k else 0.0, z[k], state, True)
+        take(motion, 0.05 * k, 0.05 if k else 0.0, z[k], state, True)
     forecast = motion.forecast(np.array([10.0]), state[None], state)
     assert forecast is not None
     assert np.abs(forecast.mean[-5:, ROLL]).max() < 0.02
@@ -132,7 +133,7 @@ def test_a_pure_swell_is_forecast_three_seconds_ahead() -> None:
     values += 1e-6 * np.random.default_rng(0).standard_normal((n, 7))
     motion, state, z = DeckMotion(BOAT), np.zeros(6), still_boat(values)
     for k in range(n):
-        motion.take(t[k], 0.05 if k else 0.0, z[k], state, True)
+        take(motion, t[k], 0.05 if k else 0.0, z[k], state, True)
     forecast = motion.forecast(np.array([10.0]), state[None], state)
     assert forecast is not None
     expected = 0.1 * np.sin(w * (t[-1] + np.array([0.0, *HORIZONS])))
@@ -144,7 +145,7 @@ def test_the_boat_heels_in_the_turn_that_the_plan_commands() -> None:
     log = sailed("zigzag")
     motion = DeckMotion(BOAT)
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
     times = np.arange(0.25, 10.01, 0.25)
     tilts = []
     for rate in (0.3, -0.3):
@@ -190,7 +191,7 @@ def test_the_sea_is_known_from_the_motion(scenario: str, to: float) -> None:
     log, motion = sailed(scenario, "3", 5), DeckMotion(BOAT)
     assert motion.sea() is None
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
         if t < 20.0:
             sea = motion.sea()
             assert sea is not None
@@ -212,7 +213,7 @@ def test_following_seas_are_not_taken_for_the_opposite_ones(scenario: str, seed:
     log = simulate(scenario, vessel=VESSEL, sea=sea, duration=120.0, seed=seed, dof=6)
     motion = DeckMotion(BOAT)
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
     found = motion.sea()
     assert found is not None
     error = abs(math.remainder(found.to - sea.waves_to, 2.0 * math.pi))
@@ -237,7 +238,7 @@ def test_a_direction_as_likely_as_its_opposite_is_doubtful() -> None:
     z[:, ACCEL_X] += GRAVITY * np.sin(values[:, 4])
     motion = DeckMotion(BOAT)
     for k in range(n):
-        motion.take(t[k], 0.05 if k else 0.0, z[k], np.zeros(6), True)
+        take(motion, t[k], 0.05 if k else 0.0, z[k], np.zeros(6), True)
     sea = motion.sea()
     assert sea is not None
     assert sea.known
@@ -307,16 +308,16 @@ def test_a_saved_twin_goes_on_to_the_bit(tmp_path) -> None:
 def test_after_a_gap_it_forecasts_the_mean_until_the_past_is_known() -> None:
     log, motion = sailed("heading135"), DeckMotion(BOAT)
     for k, t in enumerate(log.t[:3000]):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
     later = log.t[3000] + 500.0
-    motion.take(later, 500.0, log.z[3000], log.truth[3000], True)
+    take(motion, later, 500.0, log.z[3000], log.truth[3000], True)
     forecast = motion.forecast(np.array([10.0]), log.truth[:1], log.truth[0])
     assert forecast is not None
     assert np.isfinite(forecast.mean).all()
     assert (forecast.sd > 0.0).all()
     # what was learned is kept: seconds later it forecasts again
     for k in range(3001, 3200):
-        motion.take(later + 0.05 * (k - 3000), 0.05, log.z[k], log.truth[k], True)
+        take(motion, later + 0.05 * (k - 3000), 0.05, log.z[k], log.truth[k], True)
     again = motion.forecast(np.array([10.0]), log.truth[:1], log.truth[0])
     assert again is not None
     assert again.sd[2, ROLL] < 0.7 * forecast.sd[2, ROLL]
@@ -334,7 +335,7 @@ def test_any_rows_leave_forecasts_finite(steps: list[float], seed: int, size: fl
         t += dt
         z = size * rng.standard_normal(len(MEASUREMENTS))
         z[rng.random(len(z)) < 0.2] = np.nan
-        motion.take(t, dt, z, size * rng.standard_normal(6), bool(rng.integers(2)))
+        take(motion, t, dt, z, size * rng.standard_normal(6), bool(rng.integers(2)))
     if motion.active:
         states = size * rng.standard_normal((3, 6))
         forecast = motion.forecast(np.array([1.0, 5.0, 10.0]), states, states[0])

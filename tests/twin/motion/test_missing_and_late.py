@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tests.twin.motion.rows import take
 from twin import Log, Particulars, Twin
 from twin.channels import (
     ACCEL_Z,
@@ -59,7 +60,7 @@ def errors(log: Log, of: Particulars, z: np.ndarray | None = None) -> tuple[np.n
         # the twin's velocity: good to a few cm/s
         state = log.truth[k].copy()
         state[3:5] += 0.03 * np.sin([0.7 * t, 0.9 * t])
-        motion.take(t, log.dt if k else 0.0, (log.z if z is None else z)[k], state, True)
+        take(motion, t, log.dt if k else 0.0, (log.z if z is None else z)[k], state, True)
         now = motion.estimate()
         assert now is not None
         off = now.roll - log.true_motion[k, 1], now.pitch - log.true_motion[k, 2]
@@ -144,7 +145,7 @@ def test_a_gyro_or_ahrs_at_fault_is_named_and_costs_a_second(channel: int, fault
         log, z = sailed(run), with_fault(run, channel, FAULTS[fault])
         motion, found, named = DeckMotion(boat()), [], {}
         for k, t in enumerate(log.t):
-            motion.take(t, log.dt if k else 0.0, z[k], log.truth[k].copy(), True)
+            take(motion, t, log.dt if k else 0.0, z[k], log.truth[k].copy(), True)
             now = motion.estimate()
             assert now is not None
             found.append((now.roll, now.pitch))
@@ -161,7 +162,7 @@ def test_a_gyro_or_ahrs_at_fault_is_named_and_costs_a_second(channel: int, fault
 def test_sound_gyros_and_ahrs_are_not_doubted(run: int) -> None:
     log, motion = sailed(run), DeckMotion(boat())
     for k, t in enumerate(log.t):
-        motion.take(t, log.dt if k else 0.0, log.z[k], log.truth[k].copy(), True)
+        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k].copy(), True)
         assert not motion.troubles()
 
 
