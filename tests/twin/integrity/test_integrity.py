@@ -25,6 +25,8 @@ START_S = 70.0
 
 COMPASS_HZ = {20: 20.0, 5: 10.0, 1: 5.0}
 
+NO_MOTION = (None, None, None)
+
 
 def suite(rate: int) -> SensorSuite:
     return dataclasses.replace(SensorSuite(), gps_rate=float(rate), compass_rate=COMPASS_HZ[rate])
@@ -140,7 +142,7 @@ def test_sound_sensors_are_silent(vessel, rate):
     monitor, seen = SensorMonitor(particulars_of(boat, suite(rate))), set()
     for k in range(len(log)):
         dt = log.t[k] - log.t[k - 1] if k else 0.0
-        monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, (None, None, None))
+        monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
         seen |= {(name, one.status) for name, one in monitor.statuses(0.0).items()}
     assert {status for _, status in seen} <= {"ok", "absent"}
 
@@ -166,7 +168,7 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
         monitor = SensorMonitor(particulars)
         for k in range(len(log)):
             dt = log.t[k] - log.t[k - 1] if k else 0.0
-            monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, (None, None, None))
+            monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
         one = monitor.record["bank"]["filters"][3]
         assert log.truth is not None
         error = one["x"][:2] - log.truth[-1, :2]
@@ -226,7 +228,7 @@ def test_what_is_let_through_is_possible_under_any_rows(z, cmd, steps):
     monitor = copy.deepcopy(begun("usv75", 5)[1].monitor)
     for _ in range(8):
         for row, dt in enumerate(steps):
-            out = monitor.check(dt, z[row], cmd[row], np.zeros(6), True)[0]
+            out = monitor.take(0.0, dt, z[row], cmd[row], np.zeros(6), True, NO_MOTION)[0]
             assert not np.isinf(out[:8]).any()
     x = monitor.record["bank"]["filters"]["x"]
     assert np.isfinite(x).all()
@@ -306,4 +308,5 @@ def test_rare_rows_of_a_boat_without_compass_are_used():
     monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
     for k in range(20):
         row = np.array([10.0 * k, 1.0, *[np.nan] * 17])
-        assert monitor.check(5.0, row, np.zeros(4), np.zeros(6), False)[0][0] == 10.0 * k
+        used = monitor.take(5.0 * k, 5.0, row, np.zeros(4), np.zeros(6), False, NO_MOTION)[0]
+        assert used[0] == 10.0 * k
