@@ -262,8 +262,8 @@ def _first_pictures(
     shown = []
     if verdict:
         caption = (
-            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. The table "
-            "has the numbers of bars that are cut. oracle is the true ship in the mean wind."
+            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats; longer "
+            "bars are cut. oracle is the true ship in the mean wind."
         )
         figure = verdict_figure(verdict, pictures.styles)
         shown.append(pictures.add(figure, "verdict", caption))
