@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +30,7 @@ from twin.integrity.findings import ERROR, WARNING
 from twin.integrity.instruments import renewed
 from twin.integrity.log_check import LogCheck, check_log
 from twin.logs.log import merged_notes, sibling_path
-from twin.particulars import ParticularsError
+from twin.particulars import Particulars, ParticularsError
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import has_particulars, particulars_for_log
 from usv_kernel.files import read_toml, write_whole
@@ -48,7 +50,7 @@ def check_command(
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw none.")] = False,
     write: Annotated[
         Path | None,
-        typer.Option(help="Particulars file to write, with the instruments as the log shows them."),
+        typer.Option(help="Particulars file to write, with the instruments as the logs show them."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite that file.")] = False,
     strict: Annotated[
@@ -72,21 +74,31 @@ def check_command(
     """
     if write is not None and write.exists() and not force:
         raise OptionError(f"--write {write}: is there already; choose another name, or --force")
-    one_run(logs, {"--out": picture, "--write": write, "--json": json_file})
-    failed, said = False, set[str]()
+    one_run(logs, {"--out": picture, "--json": json_file})
+    failed, said, checks = False, set[str](), list[LogCheck]()
+    in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
+    begun = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
+    if write is not None and begun:
+        whole = _renew(write, [check_log(log, mapping) for log in logs])
+        write, begun = None, [] if whole else begun
+    boats = {
+        log: particulars_for_log(log, ship, mapping)
+        for log in logs
+        if log not in begun and (ship is not None or has_particulars(log))
+    }
+    several = len({_text_of(boat) for boat in boats.values()})
+    if write is not None and several > 1:
+        raise OptionError(
+            f"--write {write}: beside the logs are particulars of {several} boats; name the logs "
+            "of one boat, or their boat with --ship"
+        )
     for log in logs:
-        known = ship is not None or has_particulars(log)
-        if write is not None and _is_renewed(write, Path(ship or sibling_path(log, ".toml"))):
-            known = _renew(write, check_log(log, mapping))
-            write = None
-        boat = particulars_for_log(log, ship, mapping) if known else None
+        boat = boats.get(log)
         found = check_log(log, mapping, boat)
+        checks += [] if write is None else [found]
         print_notes(merged_notes(found.notes), said)
         print_check(found)
         verdict: Verdict | None = None
-        if write is not None:
-            write_text(write, found.particulars_text(boat))
-            console.print(f"particulars: {write}", soft_wrap=True)
         if boat is None:
             note(
                 "whether a twin may be trusted needs the particulars of the boat: --write FILE "
@@ -109,8 +121,17 @@ def check_command(
         grade = OK if verdict is None else verdict.grade
         failed |= found.count(ERROR) > 0 or grade == BAD
         failed |= strict and (found.count(WARNING) > 0 or grade != OK)
+    if write is not None:
+        boat = next(iter(boats.values()), None)
+        write_text(write, checks[0].particulars_text(boat, checks[1:]))
+        console.print(f"particulars: {write}", soft_wrap=True)
     if failed:
         raise typer.Exit(1)
+
+
+def _text_of(boat: Particulars) -> str:
+    """Return particulars as text, by which they are equal but for the name."""
+    return dataclasses.replace(boat, name="").to_toml()
 
 
 def _is_renewed(path: Path, in_use: Path) -> bool:
@@ -119,9 +140,10 @@ def _is_renewed(path: Path, in_use: Path) -> bool:
     return same and "particulars" in read_toml(path, ParticularsError)
 
 
-def _renew(path: Path, found: LogCheck) -> bool:
-    """Write a particulars file anew from a log, and return whether it is complete."""
-    text, kept = renewed(found.particulars_text(), path.read_text(encoding="utf-8"))
+def _renew(path: Path, checks: Sequence[LogCheck]) -> bool:
+    """Write a particulars file anew from logs, and return whether it is complete."""
+    text = checks[0].particulars_text(others=checks[1:])
+    text, kept = renewed(text, path.read_text(encoding="utf-8"))
     write_text(path, text)
     said = f"{', '.join(kept)}, written by hand" if kept else "nothing"
     console.print(f"particulars: {path}; kept of the file before: {said}", soft_wrap=True)
