@@ -95,10 +95,11 @@ def evaluate_command(
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
     chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
-    agents = [agent for model in models for agent in agents_named(model)]
+    given |= parse_world(wind_from, current)
+    suited = given | {"suite": sensors}
+    agents = [agent for model in models for agent in agents_named(model, **suited)]
     for agent in (agent for _, agent in agents if isinstance(agent, SavedPolicy)):
         note(f"{agent.note}; each action is held for {FRAME_SKIP} steps of .05 s")
-    given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:

@@ -108,7 +108,7 @@ def _colours(draw: Panel, recording: Recording) -> set[str]:
 
     draw(ax := Figure().add_subplot(), recording)
     curves = (curve for curve in ax.lines if np.isfinite(curve.get_xydata()).all(axis=1).any())
-    return {curve.get_color() for curve in curves}
+    return {str(curve.get_color()) for curve in curves}
 
 
 def _drawable(recording: Recording) -> Recording:

@@ -164,9 +164,8 @@ class TwinObservation(
             forecast_scores=forecast_scores,
         )
         self._observer = observer_of(base.episodes, options)
-        self.observation_space = spaces_of(
-            0, len(base.episodes.observation) + len(self._observer.names)
-        )[1]
+        names = *base.episodes.observation, *self._observer.names
+        self.observation_space = spaces_of(base.episodes, names)[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True

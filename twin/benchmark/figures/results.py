@@ -75,8 +75,7 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
             for bar, v, end in zip(bars, value, np.fmin(np.fmax(value, high), limit), strict=True):
                 at = end, bar.get_y() + 0.5 * bar.get_height()
                 text = "" if np.isnan(v) else f"{v:#.3g}".rstrip(".")
-                away = {"xytext": (3, 0), "textcoords": "offset points", "va": "center"}
-                ax.annotate(text, at, fontsize=9, **away)
+                ax.annotate(text, at, (3, 0), textcoords="offset points", va="center", fontsize=9)
         ax.set_ylim(len(names), -0.2)
         ax.set_xlim(0.0, limit)
         ax.set_yticks(np.arange(len(names)) + 0.4, names, parse_math=False)
