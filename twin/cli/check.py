@@ -75,27 +75,21 @@ def check_command(
     if write is not None and write.exists() and not force:
         raise OptionError(f"--write {write}: is there already; choose another name, or --force")
     one_run(logs, {"--out": picture, "--json": json_file})
-    failed, said, checks = False, set[str](), list[LogCheck]()
+    failed, said = False, set[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
-    begun = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
-    if write is not None and begun:
-        whole = _renew(write, [check_log(log, mapping) for log in logs])
-        write, begun = None, [] if whole else begun
+    waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
     boats = {
         log: particulars_for_log(log, ship, mapping)
         for log in logs
-        if log not in begun and (ship is not None or has_particulars(log))
+        if log not in waiting and (ship is not None or has_particulars(log))
     }
-    several = len({_text_of(boat) for boat in boats.values()})
-    if write is not None and several > 1:
-        raise OptionError(
-            f"--write {write}: beside the logs are particulars of {several} boats; name the logs "
-            "of one boat, or their boat with --ship"
-        )
+    if write is not None:
+        checks = [check_log(log, mapping, boats.get(log)) for log in logs]
+        if _write(write, checks, [*boats.values()]):
+            boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
     for log in logs:
         boat = boats.get(log)
         found = check_log(log, mapping, boat)
-        checks += [] if write is None else [found]
         print_notes(merged_notes(found.notes), said)
         print_check(found)
         verdict: Verdict | None = None
@@ -121,30 +115,36 @@ def check_command(
         grade = OK if verdict is None else verdict.grade
         failed |= found.count(ERROR) > 0 or grade == BAD
         failed |= strict and (found.count(WARNING) > 0 or grade != OK)
-    if write is not None:
-        boat = next(iter(boats.values()), None)
-        write_text(write, checks[0].particulars_text(boat, checks[1:]))
-        console.print(f"particulars: {write}", soft_wrap=True)
     if failed:
         raise typer.Exit(1)
 
 
-def _text_of(boat: Particulars) -> str:
-    """Return particulars as text, by which they are equal but for the name."""
-    return dataclasses.replace(boat, name="").to_toml()
+def _are_particulars(path: Path) -> bool:
+    """Return whether a file is there and holds particulars."""
+    return path.exists() and "particulars" in read_toml(path, ParticularsError)
 
 
 def _is_renewed(path: Path, in_use: Path) -> bool:
     """Return whether a file is there and holds the particulars that are in use."""
-    same = path.exists() and path.resolve() == in_use.resolve()
-    return same and "particulars" in read_toml(path, ParticularsError)
+    return path.resolve() == in_use.resolve() and _are_particulars(path)
 
 
-def _renew(path: Path, checks: Sequence[LogCheck]) -> bool:
-    """Write a particulars file anew from logs, and return whether it is complete."""
-    text = checks[0].particulars_text(others=checks[1:])
-    text, kept = renewed(text, path.read_text(encoding="utf-8"))
+def _write(path: Path, checks: Sequence[LogCheck], boats: Sequence[Particulars]) -> bool:
+    """Write the particulars of a boat as its logs show them, and return whether all is known.
+
+    What a user wrote by hand into the file that is replaced stays.
+    """
+    several = {dataclasses.replace(boat, name="").to_toml() for boat in boats}
+    if len(several) > 1:
+        raise OptionError(
+            f"--write {path}: beside the logs are particulars of {len(several)} boats; name the "
+            "logs of one boat, or their boat with --ship"
+        )
+    text, kept = checks[0].particulars_text(next(iter(boats), None), checks[1:]), ""
+    if _are_particulars(path):
+        text, by_hand = renewed(text, path.read_text(encoding="utf-8"))
+        found = f"{', '.join(by_hand)}, written by hand" if by_hand else "nothing"
+        kept = f"; kept of the file before: {found}"
     write_text(path, text)
-    said = f"{', '.join(kept)}, written by hand" if kept else "nothing"
-    console.print(f"particulars: {path}; kept of the file before: {said}", soft_wrap=True)
+    console.print(f"particulars: {path}{kept}", soft_wrap=True)
     return " = ?" not in text

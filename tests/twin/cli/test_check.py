@@ -120,6 +120,10 @@ def test_instruments_of_several_logs_are_written_once(folder, tmp_path):
     boat = folder / "run.toml"
     run("check", *logs, *quiet, "--ship", boat, "--write", written, "--force", check=None)
     assert Particulars.load(written).length == Particulars.load(boat).length
+    # a file that is replaced keeps what was written by hand, whether it is in use or not
+    written.write_text(re.sub("(?m)^mass = .*", "mass = 2500.0", written.read_text()))
+    out = run("check", *logs, *quiet, "--write", written, "--force", check=None).stdout
+    assert Particulars.load(written).mass == 2500.0 and "mass" in out
     # logs of two boats have no instruments in common
     shutil.copy(boat, logs[0].with_suffix(".toml"))
     text = re.sub("(?m)^length = .*", "length = 3.0", boat.read_text())
