@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from twin import files
-from twin.benchmark.metrics import BASELINE, ORACLE
+from twin.benchmark.metrics import BASELINE, ORACLE, grouped
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.summary import scope_of
-from twin.benchmark.verdict.tables import best_text, grouped, is_best, number
+from twin.benchmark.verdict.tables import best_text, is_best, number
 
 __all__ = [
     "csv_text",
@@ -109,18 +109,15 @@ def _verdict(results: Row) -> list[dict[str, Any]]:
 
     ``loss`` says which cases: "none", "any" or "all".
     """
-    found = []
-    for entry, (metric, factor) in VERDICT.items():
-        for row in (row for row in results.get("verdict") or [] if row[entry] is not None):
-            ends = {end: row.get(f"{entry}_{end}") for end in ("low", "high")}
-            values = {"value": row[entry], **ends}
-            found.append(
-                {"scenario": "|".join(row["scenarios"]), "case": "|".join(row["cases"])}
-                | {name: row[name] for name in ("plan", "predictor", "runs", "loss")}
-                | {name: None if v is None else v / factor for name, v in values.items()}
-                | {"metric": metric}
-            )
-    return found
+    return [
+        {name: row[name] for name in ("plan", "predictor", "runs", "loss")}
+        | {"scenario": "|".join(row["scenarios"]), "case": "|".join(row["cases"])}
+        | {"metric": metric, "value": row[entry] / factor}
+        | {end: v / factor if (v := row.get(f"{entry}_{end}")) else v for end in ("low", "high")}
+        for entry, (metric, factor) in VERDICT.items()
+        for row in results.get("verdict") or []
+        if row[entry] is not None
+    ]
 
 
 def _motion(results: Row) -> list[dict[str, Any]]:
