@@ -17,6 +17,7 @@ from twin.cli.common import (
     PredictorOption,
     ShipOption,
     console,
+    keep_file,
     note,
     one_run,
     print_notes,
@@ -72,8 +73,7 @@ def check_command(
     Exit code 0: nothing is wrong; 1: errors in the log or a bad twin (with --strict also warnings
     and a doubtful one); 2: it cannot be read.
     """
-    if write is not None and write.exists() and not force:
-        raise OptionError(f"--write {write}: is there already; choose another name, or --force")
+    keep_file(write, force, "--write")
     one_run(logs, {"--out": picture, "--json": json_file})
     failed, said = False, set[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}

@@ -35,8 +35,6 @@ from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
 
-EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
-
 
 def evaluate_command(
     models: Annotated[
@@ -55,7 +53,7 @@ def evaluate_command(
     ] = ",".join(OUTAGES),
     seeds: Annotated[
         str, typer.Option(help="One episode each: A-B, A:B, or a list as 0,4,7.")
-    ] = EVALUATED_ON,
+    ] = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}",
     task: Annotated[
         str | None,
         typer.Option(help=f"One of: {', '.join(TASKS)}; or module:Class. Default: trained."),

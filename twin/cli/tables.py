@@ -401,9 +401,6 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
 REPLICATES = 2000
 """Bootstrap samples behind an interval."""
 
-PLACES = {"": "all", "_loss": "lost"}
-"""Where forecasts are graded: with all sensors, or while some are lost."""
-
 Rows = Sequence[dict[str, Any]]
 
 
@@ -481,7 +478,7 @@ def forecast_error(rows: Rows) -> str:
     scores = mean_scores([row["twin_forecast"] for row in rows])
     parts = [
         (scores[f"n{place}"], scores[f"known{place}_5s_displacement_m"])
-        for place in PLACES
+        for place in ("", "_loss")  # with all sensors, or while some are lost
         if scores[f"n{place}"]
     ]
     count = sum(n for n, _error in parts)
