@@ -106,7 +106,7 @@ class LogCheck:
     agreed: dict[str, float]
     instruments: Instruments
     reasons: dict[str, str]
-    recording: Recording
+    recording: Recording = dataclasses.field(repr=False)
     notes: tuple[str, ...] = ()
     log: Log | None = None
 
