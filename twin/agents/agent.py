@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ __all__ = [
     "Agent",
     "ControllerError",
     "check_actions",
+    "interface_of",
     "shaft_speeds",
 ]
 
@@ -28,6 +29,8 @@ class Agent(Protocol):
         For tables.
     observation : str or list of str
         The observation set that it needs, or the entries, see :func:`twin.sim.wrapper.make_env`.
+    actions : str, optional
+        ``"units"`` if it steers each actuator, see :class:`usv_gym.envs.env.USVEnv`.
     """
 
     name: str
@@ -50,7 +53,12 @@ class Agent(Protocol):
         """
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the actions, shape (n, 2), for observations (n, D)."""
+        """Return the actions, shape (n, 2), for observations (n, D); of units (n, A)."""
+
+
+def interface_of(agent: Agent) -> dict[str, Any]:
+    """Return the options of the environment that an agent sees and steers through."""
+    return {"observation": agent.observation, "actions": getattr(agent, "actions", "common")}
 
 
 class ControllerError(UsvTwinError):

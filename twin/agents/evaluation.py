@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
 import itertools
@@ -17,7 +16,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import usv_gym  # noqa: F401 - registers the environment
-from twin.agents.agent import Agent
+from twin.agents.agent import Agent, interface_of
 from twin.agents.controllers import CONTROLLERS, DOCKING
 from twin.agents.hyperparameters import algorithm_class
 from twin.agents.policy import AgentError, Policy
@@ -133,14 +132,13 @@ def evaluate(
         raise AgentError("no seeds to evaluate on: name at least one")
     envs = make_envs(
         len(seeds),
-        observation=agent.observation,
         autoreset_mode=AutoresetMode.NEXT_STEP,
         sea=sea,
         faults=faults,
         frame_skip=frame_skip,
         max_episode_steps=max_episode_steps,
         record=log_dir is not None,
-        **{"forecast_scores": True, **env},
+        **{**interface_of(agent), "forecast_scores": True, **env},
     )
     graded: list[dict[str, float]] = [{} for _ in seeds]
     try:
@@ -215,11 +213,12 @@ def on_grid(
     ]
 
 
-def agents_named(model: str) -> list[tuple[str, Agent]]:
+def agents_named(model: str, **env: Any) -> list[tuple[str, Agent]]:
     """Return the agents that a name stands for, each with its label.
 
     It is the folder of a run or of several, a policy (.npz), a model of Stable-Baselines3 (.zip), a
-    controller, or ``module:Class``.
+    controller, or ``module:Class``. ``env`` are options of :func:`make_envs` that are given, for
+    models that do not say what they were made for.
     """
     path = Path(model)
     if (path / "run.json").exists():
@@ -240,7 +239,7 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
         path = saved
     if path.suffix == ".zip" and path.exists():
         algorithm_class("ppo")  # says what to install
-        return [(model, SavedPolicy(path, _sizes()))]
+        return [(model, _fitted(SavedPolicy(path), env))]
     if ":" in model:
         agent = import_named(model, AgentError, model)()
         lacks = [
@@ -264,15 +263,36 @@ def agents_named(model: str) -> list[tuple[str, Agent]]:
     return [(model, known[model]())]
 
 
-def _sizes() -> dict[str, int]:
-    """Return how many entries the observation sets have, of a boat that does not roll."""
-    sizes = {}
-    for name in OBSERVATIONS:
-        with contextlib.suppress(UsvTwinError):
-            envs = make_envs(1, observation=name)
-            sizes[name] = int(np.prod(envs.single_observation_space.shape or ()))
-            envs.close()
-    return sizes
+def _fitted(agent: SavedPolicy, env: Mapping[str, Any]) -> SavedPolicy:
+    """Give a model the observation, actions and degrees of freedom that its spaces are of.
+
+    Spaces that do not say it are those of a set that has as many entries, and as many actions.
+    """
+    names = getattr(agent.seen, "names", None)
+    kinds: list[Any] = [{"actions": a, "dof": n} for n in (3, 6) for a in ("common", "units")]
+    kinds = [vars(agent.acting)["options"]] if hasattr(agent.acting, "options") else kinds
+    entries: list[Any] = [] if names is None else [[*names]]
+    known, why = dict[str, str](), ""
+    for options, observation in itertools.product(kinds, [*OBSERVATIONS, *entries]):
+        try:
+            envs = make_envs(1, observation=observation, **{**env, **options})
+        except UsvTwinError as error:
+            why = f"; {error}"
+            continue
+        envs.close()
+        acting, seen = envs.single_action_space, envs.single_observation_space
+        if (acting, seen) == (agent.acting, agent.seen) and names in (None, vars(seen)["names"]):
+            agent.observation, agent.actions = observation, options["actions"]
+            agent.settings = {"dof": options["dof"]}
+            return agent
+        name = observation if isinstance(observation, str) else "these"
+        known[f"observation {name} {seen.shape}"] = why = ""
+        known[f"actions {options['actions']} {acting.shape}"] = why
+    raise AgentError(
+        f"{agent.path}: its observations are {agent.seen}, its actions {agent.acting}; this vessel "
+        f"has Box(-1, 1) and Box(-10, 10) of: {', '.join(sorted(known))}{why}; give vessel and "
+        f"sensors of the training, or {SIX_LINES}"
+    )
 
 
 def trained_with(agents: Sequence[Agent], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -282,8 +302,8 @@ def trained_with(agents: Sequence[Agent], given: Mapping[str, Any]) -> dict[str,
     """
     options: dict[str, Any] = {"task": "path", "twin": "ukf", "vessel": "usv75"}
     options |= {"frame_skip": FRAME_SKIP, "max_episode_steps": EPISODE}
-    settings = [agent.settings for agent in agents if isinstance(agent, Policy)]
-    for name in (*options, "vessel_spread"):
+    settings = [agent.settings for agent in agents if isinstance(agent, (Policy, SavedPolicy))]
+    for name in (*options, "vessel_spread", "dof"):
         trained = sorted({one[name] for one in settings if name in one and name not in given})
         if len(trained) > 1:
             raise AgentError(
@@ -291,7 +311,11 @@ def trained_with(agents: Sequence[Agent], given: Mapping[str, Any]) -> dict[str,
                 "one by one, or give it"
             )
         options |= {name: trained[0]} if trained else {}
-    worlds = [{k: v for k, v in one.get("world", {}).items() if k not in given} for one in settings]
+    worlds = [
+        {k: v for k, v in agent.settings.get("world", {}).items() if k not in given}
+        for agent in agents
+        if isinstance(agent, Policy)
+    ]
     if any(world != worlds[0] for world in worlds):
         raise AgentError(f"these were trained in other worlds, {worlds}: evaluate them one by one")
     return {**options, **(worlds[0] if worlds else {}), **given}

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["SIX_LINES", "SavedPolicy", "begin_nominal", "policy_of"]
 
 SIX_LINES = (
-    "write the six lines of an agent, as in docs/tutorials/train_agent.md, and name it module:Class"
+    "write the six lines of an agent with its own observation and actions, as in "
+    "docs/tutorials/train_agent.md, and name it module:Class"
 )
 """What to do with a model of another kind."""
 
@@ -98,23 +99,26 @@ def _array(parameter: Any) -> Any:
 class SavedPolicy:
     """The deterministic policy of a model that Stable-Baselines3 saved; an Agent.
 
-    Such a file does not say which observation it is for. It is the set of as many entries.
+    Its spaces ``seen`` and ``acting`` say which observation and actions it is for, see
+    :func:`twin.agents.evaluation.agents_named`.
 
     Parameters
     ----------
     path : Path
         A .zip file of ``model.save``. Where ``VecNormalize`` scaled its observations, the file of
         ``VecNormalize.save`` lies beside it: ``vecnormalize.pkl``, or with the model's name before.
-    sizes : dict of str to int
-        Entries of each observation set.
 
     Raises
     ------
     AgentError
-        It is no such file, or no set has as many entries.
+        It is no such file.
     """
 
-    def __init__(self, path: Path, sizes: Mapping[str, int]) -> None:
+    observation: str | list[str]
+    actions: str
+    settings: Mapping[str, Any]
+
+    def __init__(self, path: Path) -> None:
         import torch
         from stable_baselines3.common.save_util import load_from_zip_file
 
@@ -140,27 +144,25 @@ class SavedPolicy:
                 f"{path}: is no model of Stable-Baselines3 that can be loaded here "
                 f"({type(error).__name__}: {error})"
             ) from None
-        self.name, shape = path.stem, spaces[0].shape
-        sets = [name for name, size in sizes.items() if shape == (size,)]
-        if not sets or spaces[1].shape != (2,):
-            seen = f"{type(spaces[0]).__name__}{shape or ''}, {type(spaces[1]).__name__}"
-            raise AgentError(
-                f"{path}: its observations and actions are {seen}; boats give a Box of as many "
-                f"entries as a set, {sorted(sizes.values())}, and take two numbers; {SIX_LINES}"
-            )
-        self.observation = sets[0]
+        self.path, self.name, (self.seen, self.acting) = path, path.stem, spaces
         without = "as it is: no vecnormalize.pkl lies beside it"
-        how = without if own is None else f"scaled by {own.name}"
-        self.note = f"{path}: sees the observation {sets[0]}, {how}"
+        self._scaled = without if own is None else f"scaled by {own.name}"
         self._memory: Any = None
         self._begins: NDArray[np.bool_] | None = None
+
+    @property
+    def note(self) -> str:
+        """What it sees and steers, and how."""
+        one = self.observation
+        seen = f"observation {one}" if isinstance(one, str) else f"entries {', '.join(one)}"
+        return f"{self.path}: sees the {seen}, {self._scaled}; actions {self.actions}"
 
     def begin(self, envs: USVVectorEnv) -> None:
         """Forget all there was."""
         self._memory, self._begins = None, np.ones(envs.num_envs, dtype=np.bool_)
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the actions, shape (n, 2), for observations (n, D)."""
+        """Return the actions, shape (n, A), for observations (n, D)."""
         scaled = np.clip((obs - self._mean) / self._sd, -self._clip, self._clip)
         action, self._memory = self._policy.predict(
             scaled.astype(np.float32),

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from twin import files
-from twin.benchmark.metrics import BASELINE, ORACLE
+from twin.benchmark.metrics import BASELINE, ORACLE, grouped
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.summary import scope_of
-from twin.benchmark.verdict.tables import best_text, grouped, is_best, number
+from twin.benchmark.verdict.tables import best_text, is_best, number
 
 __all__ = [
     "csv_text",
@@ -37,21 +37,18 @@ COLUMNS = {
 """Columns of the LaTeX tables by metric: heading, and factor from the results' unit."""
 
 VERDICT = {
-    "position_m": "position (m)",
-    "heading_deg": r"heading ($^\circ$)",
-    "ratio": "ratio",
-    "mae": "MAE",
-    "mse": "MSE",
+    "position_m": ("displacement_10s", 1.0),
+    "heading_deg": ("psi_10s", DEGREES),
+    "ratio": (f"displacement_psi_10s_over_{BASELINE}", 1.0),
+    "mae": ("mae", 1.0),
+    "mse": ("mse", 1.0),
 }
-"""Columns of the LaTeX table of the verdict by metric."""
+"""Metric of each entry of the verdict, and factor from the metric's unit."""
 
 LOSSES = {"none": "", "any": ", loss", "all": ""}
 """What is said of a loss behind such a column."""
 
-UNITS = {
-    **{"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"},
-    **{"verdict_position_m": "m", "verdict_heading_deg": "deg"},
-}
+UNITS = {"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"}
 """Units of the metrics that have one."""
 
 FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}"
@@ -61,7 +58,8 @@ CSV_COLUMNS = (
     *("scenario", "case", "fault", "sea", "grade", "plan", "predictor", "metric", "unit"),
     *("value", "low", "high", "median", "runs", "best"),
 )
-"""Columns of the CSV table; ``low`` and ``high`` are the 95 % interval."""
+"""Columns of the CSV table; ``low`` and ``high`` are the 95 % interval. Means over
+several scenarios or cases have their names parted by |."""
 
 
 def _recorded(results: Row) -> list[dict[str, Any]]:
@@ -107,15 +105,18 @@ def _paired(results: Row) -> list[dict[str, Any]]:
 
 
 def _verdict(results: Row) -> list[dict[str, Any]]:
-    """Return the verdict as rows like those of the summary, over all scenarios; case: the loss."""
+    """Return the verdict as rows like those of the summary, over scenarios and cases: turn|zigzag.
+
+    ``loss`` says which cases: "none", "any" or "all".
+    """
     return [
-        {"scenario": "all", "case": row["loss"], "predictor": row["predictor"]}
-        | {"plan": row.get("plan", ""), "fault": "+".join(row.get("cases", ()))}
-        | {"metric": f"verdict_{name}", "value": row[name], "runs": row["runs"]}
-        | {"low": row.get(f"{name}_low"), "high": row.get(f"{name}_high")}
-        for name in VERDICT
+        {name: row[name] for name in ("plan", "predictor", "runs", "loss")}
+        | {"scenario": "|".join(row["scenarios"]), "case": "|".join(row["cases"])}
+        | {"metric": metric, "value": row[entry] / factor}
+        | {end: v / factor if (v := row.get(f"{entry}_{end}")) else v for end in ("low", "high")}
+        for entry, (metric, factor) in VERDICT.items()
         for row in results.get("verdict") or []
-        if row[name] is not None
+        if row[entry] is not None
     ]
 
 
@@ -167,7 +168,9 @@ def csv_text(results: Row) -> str:
     count, table = _runs(results), []
     rows = [*_verdict(results), *(results.get("summary") or []), *_recorded(results)]
     rows += [*_paired(results), *_motion(results)]
-    for block in grouped(rows, *CELL, "metric").values():
+    # the verdict on one scenario and case is their mean in the summary
+    once = {key: block[-1] for key, block in grouped(rows, *CELL, "metric", "predictor").items()}
+    for block in grouped([*once.values()], *CELL, "metric").values():
         best = best_text(block[0].get("score", block[0]["metric"]), block)
         for row in block:
             own = tuple(row.get(key, "") for key in (*CELL, "predictor"))
@@ -199,9 +202,10 @@ def latex_text(results: Row) -> str:
         "% needs \\usepackage{booktabs,graphicx}\n"
     ]
     verdict = [
-        {**row, "metric": VERDICT[row["metric"].removeprefix("verdict_")] + LOSSES[row["case"]]}
+        {**row, "metric": row["metric"] + LOSSES[row["loss"]], "head": head, "factor": factor}
         for row in _verdict(results)
-        if (row["case"] == "all") == (row["metric"] in ("verdict_mae", "verdict_mse"))
+        for head, factor in [COLUMNS.get(row["metric"], ("ratio", 1.0))]
+        if (row["loss"] == "all") == (row["metric"] in ("mae", "mse"))
     ]
     if verdict:
         of = next(row for row in results["verdict"] if row["loss"] == "all")
@@ -212,7 +216,9 @@ def latex_text(results: Row) -> str:
             "10\\,s, their ratio to those of persistence, pooled MAE and MSE, "
             f"{over if known else ''}best in bold."
         )
-        heads = {row["metric"]: (row["metric"], 1.0) for row in verdict}
+        heads = {
+            row["metric"]: (row["head"] + LOSSES[row["loss"]], row["factor"]) for row in verdict
+        }
         tables.append(_latex_table(verdict, heads, caption, "verdict"))
     count = _runs(results)
     summary = results.get("summary") or []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ __all__ = [
     "ORACLE",
     "channel_table",
     "compare",
+    "grouped",
     "interval_of",
     "recorded_table",
     "resampled",
@@ -159,13 +161,14 @@ def _key_of(key: tuple[Any, ...], predictor: str) -> tuple[Any, ...]:
     return (*key[:-2], predictor, key[-1])
 
 
-def _groups(
-    runs: Sequence[dict[str, Any]], *keys: str
-) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
-    """Return rows grouped by the values of some keys, ordered by seed."""
-    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in sorted(runs, key=lambda row: row["seed"]):
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+def grouped(rows: Sequence[Mapping[str, Any]], *keys: str) -> dict[tuple[Any, ...], list[Any]]:
+    """Return rows with the same values of some keys together, in their order.
+
+    A key that a row lacks counts as an empty text.
+    """
+    groups: dict[tuple[Any, ...], list[Any]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row.get(key, "") for key in keys), []).append(row)
     return groups
 
 
@@ -183,7 +186,7 @@ def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     median MAE as a metric of its own.
     """
     order = {tuple(row[key] for key in _CELL): None for row in runs}
-    groups = _groups(runs, *_CELL)
+    groups = grouped(sorted(runs, key=itemgetter("seed")), *_CELL)
     errors = {tuple(row[key] for key in KEY): _study_errors(row) for row in runs if "J" in row}
     summary = []
     for cell in order:
@@ -230,7 +233,7 @@ def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]
     """
     table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
     rows = []
-    for cell, members in _groups(runs, *_CELL).items():
+    for cell, members in grouped(sorted(runs, key=itemgetter("seed")), *_CELL).items():
         others = [_key_of(tuple(row[key] for key in KEY), against) for row in members]
         pairs = [
             (row["mae"], table[other])

@@ -19,10 +19,10 @@ from twin.benchmark.figures.data import RunFigure, example_times, reference_of
 from twin.benchmark.figures.results import growth_figure, verdict_figure
 from twin.benchmark.figures.runs import prediction_figure, track_figure
 from twin.benchmark.figures.style import Styles, picture_bytes, predictor_styles
-from twin.benchmark.metrics import METRICS
+from twin.benchmark.metrics import METRICS, grouped
 from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of
-from twin.benchmark.verdict.tables import best_text, grouped, interval, is_best, number, number_of
+from twin.benchmark.verdict.tables import best_text, interval, is_best, number, number_of
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -262,8 +262,8 @@ def _first_pictures(
     shown = []
     if verdict:
         caption = (
-            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. The table "
-            "has the numbers of bars that are cut. oracle is the true ship in the mean wind."
+            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats; longer "
+            "bars are cut. oracle is the true ship in the mean wind."
         )
         figure = verdict_figure(verdict, pictures.styles)
         shown.append(pictures.add(figure, "verdict", caption))
@@ -273,11 +273,11 @@ def _first_pictures(
 def _track(run: RunFigure, pictures: Pictures) -> Picture:
     """Return the picture of the track of one run."""
     caption = (
-        f"{run.label}: track, and predicted tracks over 10 s from each example (numbered). "
+        f"Track of {run.label}, and predicted tracks over 10 s from each example (numbered). "
         "Axes follow the run; a prediction may leave them."
     ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
     figure = track_figure(run, pictures.styles)
-    return pictures.add(figure, f"{run.name}_track", caption[0].upper() + caption[1:])
+    return pictures.add(figure, f"{run.name}_track", caption)
 
 
 def _run(run: RunFigure, pictures: Pictures, track_shown: bool) -> dict[str, Any]:

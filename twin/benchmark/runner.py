@@ -46,11 +46,11 @@ from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
-from twin.logs.log import Log, files_of, sibling_path
+from twin.logs.log import files_of, sibling_path
 from twin.parallel import results_of
-from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction, Predictor
 from twin.predictors.registry import base_name, options_of, predictor_class
+from twin.sim.bridge import write_run
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
@@ -60,7 +60,6 @@ from usv_gym.world.faults import FAULT_KINDS, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.files import write_whole
 
 __all__ = [
     "AGAINST",
@@ -226,12 +225,6 @@ def _prediction_of(example: dict[str, Any]) -> Prediction:
     return Prediction(example["t0"], **arrays)
 
 
-def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
-    """Write a log and its particulars, whole: another worker may do the same meanwhile."""
-    log.write(path)
-    write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
-
-
 def digest(settings: Settings, unit: Unit) -> str:
     """Return a hash of all that a result depends on.
 
@@ -350,7 +343,7 @@ def _attempt(
     try:
         run = load_run(settings, task[0])
         if not task[0].log:
-            _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
+            write_run(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
     except Exception as error:
         return [(unit, _portable(error, unit.run)) for unit in task]
     return [(unit, _scored(settings, unit, folder, run)) for unit in task]

@@ -222,8 +222,8 @@ class Verdict:
     predictor: str
     bound: float
     answers: tuple[Answer, ...]
-    forecasts: tuple[ScoredForecast, ...]
-    losses: tuple[GpsLoss, ...]
+    forecasts: tuple[ScoredForecast, ...] = field(repr=False)
+    losses: tuple[GpsLoss, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
 
     @property

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
+from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -100,12 +102,12 @@ def benchmark_command(
         typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7. [0-5; full: 200-223]"),
     ] = None,
     predictors: Annotated[
-        str,
+        str | None,
         typer.Option(
             help=f"Comma-separated, of: {', '.join(PREDICTORS)}; or module:Class of your own. "
-            f"With options as {OPTIONS_EXAMPLE}."
+            f"With options as {OPTIONS_EXAMPLE}. [all that can run]"
         ),
-    ] = ",".join(PREDICTORS),
+    ] = None,
     plans: Annotated[
         str | None,
         typer.Option(
@@ -189,12 +191,15 @@ def benchmark_command(
 
     Writes results.json, report.html, the pictures, and every run as a log for identify and
     predict. Ctrl-C keeps what is finished; the same command continues from there.
+
+    Exit code 1: a log, or a predictor that was named, was not scored on all of its runs.
     """
     if check is not None:
         _check(check)
         return
     check_backend(backend)
-    names, notes = available(parse_predictors(predictors))
+    asked = () if predictors is None else parse_predictors(predictors)
+    names, notes = available(asked or tuple(PREDICTORS))
     if not names:
         raise PredictorError("; ".join(notes))
     recorded, missing = _find_logs(logs or [])
@@ -240,9 +245,11 @@ def benchmark_command(
         errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _run_all(settings, out, jobs, backend, fresh)
-    reasons = [*missing.items(), *((unit.log or unit.run, why) for unit, why in failed.items())]
-    said = (why if run in why else f"{run}: {why}" for run, why in reasons)
-    not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in said))
+    said = [
+        why if any(name and name in why for name in (unit.log, unit.run)) else f"{unit.run}: {why}"
+        for unit, why in failed.items()
+    ]
+    not_scored = tuple(dict.fromkeys(f"not scored: {text}" for text in [*missing.values(), *said]))
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = runner.collect(settings, done, command, notes + not_scored, against)
     for path, text_of in ((latex, latex_text), (csv, csv_text)):
@@ -269,6 +276,19 @@ def benchmark_command(
     with status("writing the report"):
         written = write_report(out, results, figures, pdf=pdf)
     console.print(f"report: {written[0]}; numbers: {out / 'results.json'}", soft_wrap=True)
+    lacking = [*missing, *_unscored(work, done, asked)]
+    if lacking:
+        text = f"not scored: {', '.join(lacking)}; the lines above say why"
+        errors.print(f"error: {text}", style="red", highlight=False, soft_wrap=True)
+        raise typer.Exit(1)
+
+
+def _unscored(work: Sequence[Unit], done: Collection[Unit], asked: Sequence[str]) -> list[str]:
+    """Return each predictor that lacks results, with how many; of those asked for, also all."""
+    every, scored = (Counter(unit.predictor for unit in some) for some in (work, done))
+    counts = {name: every[name] - scored[name] for name in every}
+    lacking = [f"{name} on {n} of {every[name]} runs" for name, n in counts.items() if n]
+    return lacking + [f"{name} on any run" for name in asked if name not in every]
 
 
 def _parse_cases(text: str | None) -> tuple[Case, ...]:

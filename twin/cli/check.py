@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +17,7 @@ from twin.cli.common import (
     PredictorOption,
     ShipOption,
     console,
+    keep_file,
     note,
     one_run,
     print_notes,
@@ -28,7 +31,7 @@ from twin.integrity.findings import ERROR, WARNING
 from twin.integrity.instruments import renewed
 from twin.integrity.log_check import LogCheck, check_log
 from twin.logs.log import merged_notes, sibling_path
-from twin.particulars import ParticularsError
+from twin.particulars import Particulars, ParticularsError
 from twin.predictors.registry import DEFAULT
 from twin.sim.recorded import has_particulars, particulars_for_log
 from usv_kernel.files import read_toml, write_whole
@@ -48,7 +51,7 @@ def check_command(
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw none.")] = False,
     write: Annotated[
         Path | None,
-        typer.Option(help="Particulars file to write, with the instruments as the log shows them."),
+        typer.Option(help="Particulars file to write, with the instruments as the logs show them."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite that file.")] = False,
     strict: Annotated[
@@ -70,23 +73,26 @@ def check_command(
     Exit code 0: nothing is wrong; 1: errors in the log or a bad twin (with --strict also warnings
     and a doubtful one); 2: it cannot be read.
     """
-    if write is not None and write.exists() and not force:
-        raise OptionError(f"--write {write}: is there already; choose another name, or --force")
-    one_run(logs, {"--out": picture, "--write": write, "--json": json_file})
+    keep_file(write, force, "--write")
+    one_run(logs, {"--out": picture, "--json": json_file})
     failed, said = False, set[str]()
+    in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
+    waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
+    boats = {
+        log: particulars_for_log(log, ship, mapping)
+        for log in logs
+        if log not in waiting and (ship is not None or has_particulars(log))
+    }
+    if write is not None:
+        checks = [check_log(log, mapping, boats.get(log)) for log in logs]
+        if _write(write, checks, [*boats.values()]):
+            boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
     for log in logs:
-        known = ship is not None or has_particulars(log)
-        if write is not None and _is_renewed(write, Path(ship or sibling_path(log, ".toml"))):
-            known = _renew(write, check_log(log, mapping))
-            write = None
-        boat = particulars_for_log(log, ship, mapping) if known else None
+        boat = boats.get(log)
         found = check_log(log, mapping, boat)
         print_notes(merged_notes(found.notes), said)
         print_check(found)
         verdict: Verdict | None = None
-        if write is not None:
-            write_text(write, found.particulars_text(boat))
-            console.print(f"particulars: {write}", soft_wrap=True)
         if boat is None:
             note(
                 "whether a twin may be trusted needs the particulars of the boat: --write FILE "
@@ -113,16 +119,32 @@ def check_command(
         raise typer.Exit(1)
 
 
+def _are_particulars(path: Path) -> bool:
+    """Return whether a file is there and holds particulars."""
+    return path.exists() and "particulars" in read_toml(path, ParticularsError)
+
+
 def _is_renewed(path: Path, in_use: Path) -> bool:
     """Return whether a file is there and holds the particulars that are in use."""
-    same = path.exists() and path.resolve() == in_use.resolve()
-    return same and "particulars" in read_toml(path, ParticularsError)
+    return path.resolve() == in_use.resolve() and _are_particulars(path)
 
 
-def _renew(path: Path, found: LogCheck) -> bool:
-    """Write a particulars file anew from a log, and return whether it is complete."""
-    text, kept = renewed(found.particulars_text(), path.read_text(encoding="utf-8"))
+def _write(path: Path, checks: Sequence[LogCheck], boats: Sequence[Particulars]) -> bool:
+    """Write the particulars of a boat as its logs show them, and return whether all is known.
+
+    What a user wrote by hand into the file that is replaced stays.
+    """
+    several = {dataclasses.replace(boat, name="").to_toml() for boat in boats}
+    if len(several) > 1:
+        raise OptionError(
+            f"--write {path}: beside the logs are particulars of {len(several)} boats; name the "
+            "logs of one boat, or their boat with --ship"
+        )
+    text, kept = checks[0].particulars_text(next(iter(boats), None), checks[1:]), ""
+    if _are_particulars(path):
+        text, by_hand = renewed(text, path.read_text(encoding="utf-8"))
+        found = f"{', '.join(by_hand)}, written by hand" if by_hand else "nothing"
+        kept = f"; kept of the file before: {found}"
     write_text(path, text)
-    said = f"{', '.join(kept)}, written by hand" if kept else "nothing"
-    console.print(f"particulars: {path}; kept of the file before: {said}", soft_wrap=True)
+    console.print(f"particulars: {path}{kept}", soft_wrap=True)
     return " = ?" not in text

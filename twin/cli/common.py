@@ -252,6 +252,12 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, text.encode())
 
 
+def keep_file(path: Path | None, force: bool, option: str = "--out") -> None:
+    """Refuse to replace a file, unless with --force."""
+    if path is not None and path.exists() and not force:
+        raise OptionError(f"{path}: is there already; choose another {option}, or --force")
+
+
 def one_run(logs: Sequence[Path], options: Mapping[str, object]) -> None:
     """Refuse options that are for one log, where there are several."""
     given = [name for name, value in options.items() if value is not None]

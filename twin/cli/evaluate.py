@@ -35,8 +35,6 @@ from twin.parallel import results_of
 from usv_gym.envs.tasks import TASKS
 from usv_gym.world.sensors import GRADES
 
-EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
-
 
 def evaluate_command(
     models: Annotated[
@@ -55,7 +53,7 @@ def evaluate_command(
     ] = ",".join(OUTAGES),
     seeds: Annotated[
         str, typer.Option(help="One episode each: A-B, A:B, or a list as 0,4,7.")
-    ] = EVALUATED_ON,
+    ] = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}",
     task: Annotated[
         str | None,
         typer.Option(help=f"One of: {', '.join(TASKS)}; or module:Class. Default: trained."),
@@ -95,10 +93,11 @@ def evaluate_command(
     seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
     chosen = {"task": task, "twin": twin, "vessel": vessel, "vessel_spread": vessel_spread}
     given = {key: value for key, value in chosen.items() if value is not None}
-    agents = [agent for model in models for agent in agents_named(model)]
+    given |= parse_world(wind_from, current)
+    suited = given | {"suite": sensors}
+    agents = [agent for model in models for agent in agents_named(model, **suited)]
     for agent in (agent for _, agent in agents if isinstance(agent, SavedPolicy)):
         note(f"{agent.note}; each action is held for {FRAME_SKIP} steps of .05 s")
-    given |= parse_world(wind_from, current)
     same = trained_with([pair[1] for pair in agents], given) | {"suite": sensors}
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
     if log_dir is not None:

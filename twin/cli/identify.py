@@ -15,11 +15,11 @@ from twin.channels import STATE
 from twin.cli.common import (
     LogsArgument,
     MappingOption,
-    OptionError,
     PredictorOption,
     ShipOption,
     console,
     explain,
+    keep_file,
     one_run,
     print_notes,
     row_progress,
@@ -86,10 +86,7 @@ def identify_command(
 
     Whether a twin may be trusted says usv-twin check: give no run that it calls bad.
     """
-    if save_prior is not None and save_prior.exists() and not force:
-        raise OptionError(
-            f"--save-prior {save_prior}: is there already; choose another name, or --force"
-        )
+    keep_file(save_prior, force, "--save-prior")
     logs = list(dict.fromkeys(logs))
     one_run(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin.cli.common import OptionError, console, note, write_text
+from twin.cli.common import OptionError, console, keep_file, note, write_text
 from twin.logs.dates import MEANINGS, ORDERS, ahead_of_utc
 from twin.logs.log import sibling_path
 from twin.logs.mapping import Layout
@@ -42,8 +42,7 @@ def mapping_command(
     path = out or found_beside
     if path.resolve() == sibling_path(log, ".toml").resolve():
         raise OptionError(f"{path}: is read as the particulars of the boat; choose another --out")
-    if path.exists() and not force:
-        raise OptionError(f"{path}: is there already; choose another --out, or --force")
+    keep_file(path, force)
     found = propose(log, dates, zone)
     if found.choices:
         raise _open_question(found, "first?", "--dates", tuple(ORDERS))

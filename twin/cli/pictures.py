@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import io
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +30,9 @@ from twin.logs.signals import ENOUGH, integrated, sampled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Panel = Callable[[Any, Recording], None]
+"""Draws what a recording has into a panel."""
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 
@@ -60,12 +65,16 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         (line(ORANGE), "compass, velocity; right unit"),
         (line(GREEN), "gyro; steering angle"),
     ]
-    mosaic = [
-        ["track", "samples"],
-        ["track", "speed"],
-        ["commands", "turn"],
-        ["commands", "heading"],
-    ]
+    track = functools.partial(_track, verdict=verdict)
+    left: dict[str, Panel] = {"track": track, "commands": _commands}
+    right: dict[str, Panel] = {"speed": _speed, "turn": _turn, "heading": _heading}
+    colours = {name: _colours(draw, recording) for name, draw in (left | right).items()}
+    seen = set[str]().union(*colours.values())
+    entries = [entry for entry in entries if entry[0].get_color() in seen] or entries
+    columns = [[name for name in side if colours[name]] for side in (left, right)]
+    columns = [names for names in columns if names] or [["commands"]]
+    rows = math.prod(map(len, columns))
+    mosaic = [[names[k * len(names) // rows] for names in columns] for k in range(rows)]
     size = (11.0, 7.0)
     if verdict is not None:
         about = f"{about}; {verdict.predictor}: {verdict.grade} (" + ", ".join(
@@ -73,14 +82,13 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
         )
         about += ")"
         entries += [(line(BLACK), "forecasts of the twin"), (line(ORANGE, DASHED), "persistence")]
-        mosaic += [["distance", "losses"], ["turned", "losses"]]
+        for name in ("distance", "turned"):
+            mosaic += [[name, "losses"]] * -(-rows // 4)
         size = (11.0, 11.0)
     fig, axes = new_figure(f"{recording.name}: check", about, entries, mosaic, size)
-    _track(axes["track"], recording, verdict)
-    _speed(axes["speed"], recording)
-    _turn(axes["turn"], recording)
-    _heading(axes["heading"], recording)
-    _commands(axes["commands"], recording)
+    for name, draw in (left | right).items():
+        if name in axes:
+            draw(axes[name], recording)
     if verdict is not None:
         _errors(axes["distance"], verdict, 0, 1.0, "distance off, m")
         _errors(axes["turned"], verdict, 1, 180.0 / math.pi, "heading off, degrees")
@@ -88,9 +96,19 @@ def draw_check(check: LogCheck, verdict: Verdict | None = None) -> bytes:
     over_time = {"speed", "turn", "heading", "commands", "distance", "turned"}
     for name in over_time & set(axes):
         axes[name].set_xlim(float(recording.t[0]), float(recording.t[-1]))
+        set_ticks(axes[name], 6, 4, None if name in columns[-1][:-1] else "time, s")
     buffer = io.BytesIO()
     fig.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+def _colours(draw: Panel, recording: Recording) -> set[str]:
+    """Return the colours of the curves that a panel has; none where a log lacks what it shows."""
+    from matplotlib.figure import Figure
+
+    draw(ax := Figure().add_subplot(), recording)
+    curves = (curve for curve in ax.lines if np.isfinite(curve.get_xydata()).all(axis=1).any())
+    return {str(curve.get_color()) for curve in curves}
 
 
 def _drawable(recording: Recording) -> Recording:
@@ -135,11 +153,10 @@ def _speed(ax: Axes, recording: Recording) -> None:
     motion = speed_of(recording)
     if motion is not None:
         ax.plot(motion[0], np.hypot(*motion[1].T), color=BLUE, lw=1.6)
-    set_ticks(ax, 6, 4, None)
 
 
 def _turn(ax: Axes, recording: Recording) -> None:
-    set_title(ax, "yaw rate of compass and gyro, deg/s")
+    set_title(ax, "yaw rate, deg/s")
     t, compass = recording.samples("compass_rad")
     t_gyro, gyro = recording.samples("gyro_radps")
     grid = np.linspace(recording.t[0], recording.t[-1], min(POINTS_MAX, len(recording.t)))
@@ -151,11 +168,10 @@ def _turn(ax: Axes, recording: Recording) -> None:
         if len(at) >= ENOUGH:
             rate = sampled(at, angle, grid + 0.5) - sampled(at, angle, grid - 0.5)
             ax.plot(grid, np.degrees(rate), color=colour, ls=style, lw=1.0)
-    set_ticks(ax, 6, 4, None)
 
 
 def _heading(ax: Axes, recording: Recording) -> None:
-    set_title(ax, "course of the fixes and compass, deg")
+    set_title(ax, "course and heading, deg")
     t, compass = recording.samples("compass_rad")
     at, psi = _thin(t, np.degrees(np.remainder(compass[:, 0], 2.0 * math.pi)))
     ax.plot(at, psi, color=ORANGE, ls="", marker=".", ms=2)
@@ -164,18 +180,14 @@ def _heading(ax: Axes, recording: Recording) -> None:
         course = np.degrees(np.arctan2(motion[1][:, 1], motion[1][:, 0])) % 360.0
         ax.plot(motion[0], course, color=BLUE, ls="", marker=".", ms=3)
     ax.set_ylim(0.0, 360.0)
-    set_ticks(ax, 6, 4, "time, s")
 
 
 def _commands(ax: Axes, recording: Recording) -> None:
     set_title(ax, "commands: shaft speeds, rev/s; angle, deg")
-    for j, colour in ((0, BLUE), (1, ORANGE)):
-        at, value = _thin(recording.t, recording.cmd[:, j])
-        ax.plot(at, value, color=colour, lw=1.0)
-    if np.nan_to_num(recording.cmd[:, 2:]).any():
-        at, value = _thin(recording.t, np.degrees(recording.cmd[:, 2]))
-        ax.plot(at, value, color=GREEN, lw=1.0)
-    set_ticks(ax, 6, 4, "time, s")
+    for j, colour, scale in ((0, BLUE, 1.0), (1, ORANGE, 1.0), (2, GREEN, 180.0 / math.pi)):
+        if np.nan_to_num(recording.cmd[:, j]).any():
+            at, value = _thin(recording.t, scale * recording.cmd[:, j])
+            ax.plot(at, value, color=colour, lw=1.0)
 
 
 def _errors(ax: Axes, verdict: Verdict, k: int, scale: float, title: str) -> None:
@@ -185,7 +197,6 @@ def _errors(ax: Axes, verdict: Verdict, k: int, scale: float, title: str) -> Non
     held = [scale * f.persistence[k] for f in verdict.forecasts]
     ax.plot(t, held, color=ORANGE, lw=1.0, ls=DASHED)
     ax.plot(t, [scale * f.error[k] for f in verdict.forecasts], color=BLACK, lw=1.4)
-    set_ticks(ax, 6, 4, "time, s")
     ax.set_ylim(bottom=0.0)
 
 

@@ -19,10 +19,9 @@ from twin.cli.common import (
     console,
     note,
     note_capsizing,
-    write_text,
 )
 from twin.logs.log import LOG_SUFFIXES, sibling_path
-from twin.sim.bridge import particulars_of, simulate
+from twin.sim.bridge import particulars_of, simulate, write_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, ineffective_fault, parse_faults
@@ -30,13 +29,14 @@ from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 
-MANOEUVRE_HELP = (
-    f"One of: {', '.join(SCENARIOS)}. headingN holds a course at N degrees to where the waves go."
-)
-
 
 def simulate_command(
-    manoeuvre: Annotated[str, typer.Argument(help=MANOEUVRE_HELP)] = "turn",
+    manoeuvre: Annotated[
+        str,
+        typer.Argument(
+            help=f"One of: {', '.join(SCENARIOS)}. headingN: N degrees to where the waves go."
+        ),
+    ] = "turn",
     out: Annotated[
         Path | None,
         typer.Option(
@@ -84,8 +84,5 @@ def simulate_command(
         suite=suite,
         dof=dof,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    log.write(path)
-    particulars = sibling_path(path, ".toml")
-    write_text(particulars, particulars_of(boat, suite, dof).to_toml())
-    console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}")
+    write_run(log, particulars_of(boat, suite, dof), path)
+    console.print(f"{len(log)} rows, {duration:g} s: {path}, {sibling_path(path, '.toml')}")

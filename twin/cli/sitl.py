@@ -22,7 +22,6 @@ from twin.cli.common import (
     note,
     note_capsizing,
     radians,
-    write_text,
 )
 from twin.cli.link import MaxSdOption, counted, say
 from twin.digital_twin import Twin
@@ -30,10 +29,10 @@ from twin.live.external.navigation import ExternalNavigation
 from twin.live.external.peer import AutopilotPeer, MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of, unmirrored
 from twin.logs.datum import Datum
-from twin.logs.log import Log, sibling_path
+from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.registry import PREDICTORS, PredictorError, predictor_class
-from twin.sim.bridge import particulars_of
+from twin.sim.bridge import particulars_of, write_run
 from usv_gym.sitl.backend import Backend, port_of
 from usv_gym.sitl.parameters import autopilot_parameters, parameter_text
 from usv_gym.sitl.server import LOOPBACK, Server
@@ -215,7 +214,5 @@ class _Logs:
         path = self.out
         if self.written > 1:
             path = path.with_name(f"{path.stem}_{self.written}{path.suffix}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        log.write(path)
-        write_text(sibling_path(path, ".toml"), self.particulars.to_toml())
+        write_run(log, self.particulars, path)
         console.print(f"{len(log)} rows: {path}", highlight=False, soft_wrap=True)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from twin.agents.evaluation import mean_scores
 from twin.agents.training import Plan, Run
+from twin.benchmark.metrics import interval_of
 from twin.benchmark.motion_scores import attitude_lines
 from twin.benchmark.trust import BAD, DOUBTFUL, OK, Verdict
 from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
@@ -397,14 +398,8 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
         )
 
 
-EPISODES_MIN = 3
-"""Fewer episodes have no interval."""
-
 REPLICATES = 2000
 """Bootstrap samples behind an interval."""
-
-PLACES = {"": "all", "_loss": "lost"}
-"""Where forecasts are graded: with all sensors, or while some are lost."""
 
 Rows = Sequence[dict[str, Any]]
 
@@ -472,12 +467,10 @@ def short_names(models: Sequence[str]) -> dict[str, str]:
 
 def median(distances: Sequence[float]) -> str:
     """Return the median and its bootstrap interval."""
-    text = f"{np.median(distances):.2f}"
-    if len(distances) < EPISODES_MIN:
-        return text
     samples = np.random.default_rng(0).choice(distances, (REPLICATES, len(distances)))
-    low, high = np.percentile(np.median(samples, axis=1), [2.5, 97.5])
-    return f"{text} [{low:.2f}, {high:.2f}]"
+    low, high = interval_of(np.median(samples, axis=1), len(distances))
+    between = "" if low is None else f" [{low:.2f}, {high:.2f}]"
+    return f"{np.median(distances):.2f}{between}"
 
 
 def forecast_error(rows: Rows) -> str:
@@ -485,7 +478,7 @@ def forecast_error(rows: Rows) -> str:
     scores = mean_scores([row["twin_forecast"] for row in rows])
     parts = [
         (scores[f"n{place}"], scores[f"known{place}_5s_displacement_m"])
-        for place in PLACES
+        for place in ("", "_loss")  # with all sensors, or while some are lost
         if scores[f"n{place}"]
     ]
     count = sum(n for n, _error in parts)

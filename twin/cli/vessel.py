@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from twin.cli.common import console, new_table, note, write_text
+from twin.cli.common import console, keep_file, new_table, note, write_text
 from usv_gym.design.checks import inspect
-from usv_gym.design.new_vessel import DesignError, MainParticulars, design
+from usv_gym.design.new_vessel import MainParticulars, design
 from usv_gym.physics import KNOT
 from usv_gym.vessel.vessel import KIND_SCHEMA, Vessel, vessel_names
 
@@ -66,8 +66,7 @@ def vessel_new_command(
 ) -> None:
     """Write a first vessel file: regressions estimate what is not given, and mark it."""
     path = out or Path(f"{name}.toml")
-    if path.exists() and not force:
-        raise DesignError(f"{path}: is there already; choose another --out, or --force")
+    keep_file(path, force)
     first = design(
         MainParticulars(
             name=name,

@@ -163,13 +163,13 @@ def _policy_session(name: str, out: Path, vessel: str | None, **options: Any) ->
     from twin.agents.weights import SavedPolicy
     from twin.live.sessions.policy import PolicySession
 
-    agents = agents_named(name)
+    given = {} if vessel is None else {"vessel": vessel}
+    agents = agents_named(name, suite=options["suite"], **given)
     if len(agents) != 1:
         raise AgentError(f"--policy {name}: holds {len(agents)} agents; name one of them")
     ((_label, agent),) = agents
     if isinstance(agent, SavedPolicy):
         note(agent.note)
-    given = {} if vessel is None else {"vessel": vessel}
     return PolicySession(agent, out, **trained_with([agent], given), **options)
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,7 @@ __all__ = [
     "SensorFigures",
     "estimate_instruments",
     "particulars_text",
+    "pooled",
     "renewed",
     "sensor_figures",
     "typical_boat",
@@ -145,6 +147,19 @@ def estimate_instruments(
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}
 
 
+def pooled(
+    shown: Sequence[tuple[Instruments, dict[str, str]]],
+) -> tuple[Instruments, dict[str, str]]:
+    """Return what logs of one boat show, each of :func:`estimate_instruments`: the medians."""
+    values, reasons = dict[str, Any](), dict[str, str]()
+    for key in dict.fromkeys(key for _, why in shown for key in why):
+        found = [(getattr(one, key), why[key]) for one, why in shown if key in why]
+        values[key] = float(f"{np.median([value for value, _ in found]):.3g}")
+        several = f", median of {len(found)} logs" if len(found) > 1 else ""
+        reasons[key] = f"{found[0][1]}{several}"
+    return dataclasses.replace(shown[0][0], **values), reasons
+
+
 def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
     """Return particulars where those of the boat are unknown: its speeds are those of the log."""
     n = np.nan_to_num(np.abs(recording.cmd[:, :2])).mean(axis=1)
@@ -164,27 +179,30 @@ def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
 
 
 def particulars_text(
-    recording: Recording,
+    recordings: Sequence[Recording],
     instruments: Instruments,
     reasons: dict[str, str],
     particulars: Particulars | None = None,
 ) -> str:
-    """Return the text of a particulars file, with instruments estimated from a log.
+    """Return the text of a particulars file, with instruments estimated from its logs.
 
     Parameters
     ----------
-    recording : Recording
-        The log.
+    recordings : sequence of Recording
+        The logs.
     instruments, reasons
-        Of :func:`estimate_instruments`.
+        Of :func:`estimate_instruments` or :func:`pooled`.
     particulars : Particulars, optional
         Of the boat. Without them the keys that no log shows stand as comments to fill in, and
         the file is refused until that is done.
     """
-    boat = particulars or typical_boat(recording, instruments)
+    boats = [particulars or typical_boat(each, instruments) for each in recordings]
+    boat, names = max(boats, key=lambda one: one.speed), ", ".join(each.name for each in recordings)
     if particulars is None:
-        seen = {"speed": "upper quartile of the log", "shaft_speed": "at that speed and above"}
+        steering = "drives" if any(one.steering == "drives" for one in boats) else boat.steering
+        seen = {"speed": f"upper quartile of {boat.name}", "shaft_speed": "at that speed and above"}
         reasons = reasons | seen | {"steering": "by the angles in the log"}
+        boat = dataclasses.replace(boat, name=boats[0].name, steering=steering)
     lines = []
     for line in dataclasses.replace(boat, instruments=instruments).to_toml().splitlines():
         key = line.partition(" = ")[0]
@@ -192,7 +210,7 @@ def particulars_text(
             lines.append(f"# {key} = ?  # fill in")
         else:
             lines.append(f"{line} {MARK}{reasons[key]}" if key in reasons else line)
-    head = f"{HEAD} {recording.name}. Lines with{MARK}are written anew by --write, others stay."
+    head = f"{HEAD} {names}. Lines with{MARK}are written anew by --write, others stay."
     return "\n".join([head, *lines]) + "\n"
 
 

@@ -33,6 +33,7 @@ from twin.integrity.instruments import (
     SensorFigures,
     estimate_instruments,
     particulars_text,
+    pooled,
     sensor_figures,
     typical_boat,
 )
@@ -105,7 +106,7 @@ class LogCheck:
     agreed: dict[str, float]
     instruments: Instruments
     reasons: dict[str, str]
-    recording: Recording
+    recording: Recording = dataclasses.field(repr=False)
     notes: tuple[str, ...] = ()
     log: Log | None = None
 
@@ -121,15 +122,21 @@ class LogCheck:
         """Return how many findings are of a severity."""
         return sum(finding.severity == severity for finding in self.findings)
 
-    def particulars_text(self, particulars: Particulars | None = None) -> str:
+    def particulars_text(
+        self, particulars: Particulars | None = None, others: Sequence[LogCheck] = ()
+    ) -> str:
         """Return a particulars file with the instruments as the log shows them.
 
         Parameters
         ----------
         particulars : Particulars, optional
             Of the boat; without them length, beam, draft and mass are left to fill in.
+        others : sequence of LogCheck
+            Of more logs of the same boat: then the instruments are medians.
         """
-        return particulars_text(self.recording, self.instruments, self.reasons, particulars)
+        checks = (self, *others)
+        shown = pooled([(each.instruments, each.reasons) for each in checks])
+        return particulars_text([each.recording for each in checks], *shown, particulars)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything as plain numbers and texts; NaN becomes None."""

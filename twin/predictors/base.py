@@ -108,6 +108,11 @@ class Estimate:
     ready: bool
     motion: MotionEstimate | None = None
 
+    def __repr__(self) -> str:
+        """Return time and state; ``sd`` and ``params`` have the rest."""
+        state = ", ".join(f"{value:.3g}" for value in self.state)
+        return f"Estimate(t = {self.t:.2f} s, state {state})"
+
 
 @dataclass(frozen=True)
 class Prediction:

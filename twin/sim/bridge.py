@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.logs.log import Log
+from twin.logs.log import Log, sibling_path
 from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import (
     HEADINGS,
@@ -30,6 +31,7 @@ from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import COMPASS, GYRO, SENSOR_CHANNELS
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import write_whole
 
 __all__ = [
     "CONTROL_STEP",
@@ -233,3 +235,9 @@ def sail(run: PreparedRun, before_step: Callable[[float, Simulation], None] | No
         truth[k], motion[k] = simulation.state[0, TRUE_STATE], simulation.state[0, VERTICAL]
     known = motion if simulation.dof == 6 else None
     return Log(t=t, z=z, cmd=cmd, truth=truth, name=run.name, true_motion=known)
+
+
+def write_run(log: Log, particulars: Particulars, path: Path) -> None:
+    """Write a log, and the particulars of its boat beside it; each whole or not at all."""
+    write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
+    log.write(path)

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from twin.digital_twin import Twin
-from twin.logs.log import Log, sibling_path
+from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
@@ -24,6 +24,7 @@ from twin.sim.bridge import (
     measurement_row,
     particulars_of,
     with_deck_point,
+    write_run,
 )
 from twin.sim.compact import COMPACT_SETS, SCALED, set_of, shows_forecast
 from twin.sim.mixed_twins import MixedTwins, observer_of
@@ -40,7 +41,6 @@ from usv_kernel.errors import (
     check_options,
     did_you_mean,
 )
-from usv_kernel.files import write_whole
 
 __all__ = [
     "OBSERVATIONS",
@@ -164,9 +164,8 @@ class TwinObservation(
             forecast_scores=forecast_scores,
         )
         self._observer = observer_of(base.episodes, options)
-        self.observation_space = spaces_of(
-            0, len(base.episodes.observation) + len(self._observer.names)
-        )[1]
+        names = *base.episodes.observation, *self._observer.names
+        self.observation_space = spaces_of(base.episodes, names)[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True
@@ -479,9 +478,8 @@ def log_of(
         name=f"{vessel.name}_episode",
     )
     if path is not None:
-        log.write(path)
         particulars = particulars_of(vessel, base.simulation.suite, base.simulation.dof)
         if base.simulation.dof == 6:
             particulars = with_deck_point(particulars, kind.deck_point)
-        write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
+        write_run(log, particulars, Path(path))
     return log

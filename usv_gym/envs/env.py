@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -159,7 +159,7 @@ class BoatsAtSea:
         self.observation_names = self._selection.names if self._selection else names
         # entries of the observations, shown or not
         self._obs_shape = episodes.n, len(names)
-        return spaces_of(episodes.width, len(self.observation_names))
+        return spaces_of(episodes, self.observation_names)
 
     def get_state(self) -> bytes:
         """Return all that the next steps depend on, generators and twins included.
@@ -451,9 +451,13 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
         return info
 
 
-def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:
-    """Return the spaces of actions and observations of one boat."""
-    return (
-        spaces.Box(-1.0, 1.0, (width,), np.float32),
-        spaces.Box(-BOUND, BOUND, (size,), np.float32),
-    )
+def spaces_of(episodes: Episodes, names: Sequence[str]) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of actions and observations of one boat.
+
+    The first knows the ``options`` of the environment that make it what it is, the second the
+    ``names`` of its entries: an agent that is saved with its spaces says what it is for.
+    """
+    acting = spaces.Box(-1.0, 1.0, (episodes.width,), np.float32)
+    seen = spaces.Box(-BOUND, BOUND, (len(names),), np.float32)
+    vars(acting)["options"], vars(seen)["names"] = dict(episodes.options), (*names,)
+    return acting, seen

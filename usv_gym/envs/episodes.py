@@ -340,6 +340,8 @@ class Episodes:
         Numbers in an action.
     observation : tuple of str
         Names of the sensors' entries in an observation.
+    options : dict
+        Those that say what an action is, and how the boat moves.
     records : ndarray of EPISODE, shape (n,)
         What lasts of each episode.
     vessel, speed, task, nominal_action, config
@@ -385,6 +387,7 @@ class Episodes:
         """What differs between the vessels of which an episode draws one."""
         self.speed, self.task, self.nominal_action = self.kinds[0][1:4]
         self.width, self._own = len(self.nominal_action), self.task.is_own
+        self.options = {"actions": config.actions, "dof": config.dof}
         for row, kind in zip(self.configs, self.kinds, strict=True):
             kind.task.records, kind.task.points = self.records["task"], self.task.points
             v, mixing = kind.vessel.values, _mixing(kind.vessel, config)

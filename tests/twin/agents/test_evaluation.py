@@ -13,6 +13,7 @@ from twin.agents import evaluation
 from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.evaluation import evaluate, make_envs, mean_scores
 from twin.agents.policy import AgentError
+from twin.live.sessions.policy import PolicySession
 from twin.parallel import results_of
 
 
@@ -103,6 +104,54 @@ def test_a_model_is_scaled_by_the_file_beside_it(tmp_path, algo, name):
     assert evaluate(agent, seeds=[5], max_episode_steps=3)[0]["agent"] == "model"
 
 
+NAMED = ["cross_track", "sin_course_error", "yaw_rate", "ahrs_roll"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"observation": NAMED[:3], "actions": "common"},
+        {"observation": NAMED, "actions": "common", "dof": 6},
+        {"observation": "raw", "actions": "units"},
+        {"observation": NAMED[:2], "actions": "units", "vessel": "otter"},  # as many as common
+    ],
+)
+def test_a_model_sails_with_the_entries_and_actions_that_it_was_made_for(tmp_path, options):
+    sb3 = pytest.importorskip("stable_baselines3")
+    from usv_gym.envs.sb3 import SB3VecEnv
+
+    model = sb3.PPO("MlpPolicy", SB3VecEnv(1, frame_skip=10, **options), device="cpu", seed=3)
+    model.save(tmp_path / "model")
+    model = sb3.PPO.load(tmp_path / "model", device="cpu")
+    given = {key: value for key, value in options.items() if key == "vessel"}
+    ((_, agent),) = evaluation.agents_named(str(tmp_path / "model.zip"), **given)
+    assert (agent.observation, agent.actions) == (options["observation"], options["actions"])
+    known = evaluation.trained_with([agent], given)
+    assert known["dof"] == options.get("dof", 3)
+    envs = make_envs(2, frame_skip=10, **options)
+    obs = envs.reset(seed=[5, 6])[0]
+    agent.begin(envs)
+    np.testing.assert_allclose(agent.act(obs), model.predict(obs, deterministic=True)[0])
+    (row,) = evaluate(agent, seeds=[5], **{**known, "max_episode_steps": 3})
+    assert row["agent"] == "model"
+    session = PolicySession(agent, tmp_path, predictor="ukf", **known)
+    assert session.envs.single_action_space == model.action_space
+    session.stop()
+
+
+def test_a_model_without_names_is_of_the_set_of_its_size_or_its_shape_is_told(tmp_path):
+    sb3 = pytest.importorskip("stable_baselines3")
+    flat = gym.wrappers.FlattenObservation
+    for name, options in (("raw", {"observation": "raw"}), ("few", {"observation": NAMED[:3]})):
+        env = flat(gym.make("USVTwin-v0", actions="units", **options))
+        sb3.PPO("MlpPolicy", env, device="cpu").save(tmp_path / name)
+    ((_, agent),) = evaluation.agents_named(str(tmp_path / "raw.zip"))
+    assert (agent.observation, agent.actions) == ("raw", "units")
+    said = r"Box\(-10.0, 10.0, \(3,\).* actions units \(4,\).*raw \(23,\).*module:Class"
+    with pytest.raises(AgentError, match=said):
+        evaluation.agents_named(str(tmp_path / "few.zip"))
+
+
 def test_a_model_for_another_observation_says_what_to_do(tmp_path):
     sb3 = pytest.importorskip("stable_baselines3")
     sb3.A2C("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(tmp_path / "pendulum")
@@ -113,7 +162,7 @@ def test_a_model_for_another_observation_says_what_to_do(tmp_path):
         gym.make("Pendulum-v1"), lambda obs: {"all": obs}, seen
     )
     sb3.A2C("MultiInputPolicy", pendulum, device="cpu").save(tmp_path / "dict")
-    with pytest.raises(AgentError, match="are Dict, Box; boats give a Box of"):
+    with pytest.raises(AgentError, match=r"are Dict\(.*actions Box\(-2.0, 2.0, \(1,\)"):
         evaluation.agents_named(str(tmp_path / "dict.zip"))
     (tmp_path / "torch.pt").write_bytes(b"PK")
     with pytest.raises(AgentError, match="is no policy"):

@@ -7,11 +7,13 @@ import json
 from typer.testing import CliRunner
 
 from twin.cli.main import app
+from twin.logs.log import recorded_runs
+from twin.predictors.baselines import Persistence
 
 
-def run(*arguments):
+def run(*arguments, code=0):
     done = CliRunner().invoke(app, ["benchmark", *map(str, arguments)])
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == code, done.output
     return done
 
 
@@ -38,3 +40,27 @@ def test_tables_and_pictures_are_written_and_results_reused(tmp_path):
     assert not list((out / "pictures").glob("*.pdf"))
     now = json.loads((out / "results.json").read_text())
     assert {**results, "command": ""} == {**now, "command": ""}
+
+
+class Raises(Persistence):
+    """A predictor with a fault."""
+
+    def predict(self, *_args, **_options):
+        raise ValueError("no")
+
+
+def test_a_predictor_that_is_not_scored_shows_in_the_exit_code_and_the_rest_is_kept(tmp_path):
+    options = ("--scenarios", "turn", "--faults", "none", "--seeds", "0", "--plans", "hold")
+    options += ("--no-pictures", "--jobs", "1", "--out", tmp_path)
+    raises = f"{__name__}:Raises"
+    done = run(*options, "--predictors", f"persistence,{raises}", code=1)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"error: not scored: {raises} on 2 of 2 runs")  # with the recorded one
+    assert (tmp_path / "report.html").exists()
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert {row["predictor"] for row in results["summary"]} == {"persistence"}
+    # nothing to score: the true ship of a recorded run is not known
+    log = recorded_runs()["boat1_usv_circle"]
+    done = run(log, *options[-5:], "--predictors", "persistence,oracle", code=1)
+    assert "not scored: oracle on any run" in done.stderr
+    run(log, *options[-5:], "--predictors", "persistence")

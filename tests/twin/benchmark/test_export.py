@@ -178,9 +178,11 @@ def test_verdict_and_paired_tests_are_in_both_tables():
         (row["scenario"], row["case"], row["metric"], row["predictor"]): row
         for row in csv.DictReader(io.StringIO(csv_text(judged())))
     }
-    best = found["all", "none", "verdict_position_m", "my_own:Mine"]
+    best = found["turn|zigzag", "none", "displacement_10s", "my_own:Mine"]
     assert (float(best["value"]), best["unit"], best["runs"]) == (0.2792, "m", "6")
-    assert (best["plan"], best["fault"]) == ("hold", "none")
+    assert best["plan"] == "hold"
+    heading = found["turn|zigzag", "none|gps10", "psi_10s", "my_own:Mine"]  # in rad, as others are
+    assert math.degrees(float(heading["value"])) == pytest.approx(0.1396)
     change = found["turn", "gps10", "mae_change_against_ukf", "my_own:Mine"]
     assert [float(change[key]) for key in ("value", "low", "high", "median")] == [
         -12.5,

@@ -204,6 +204,26 @@ def test_pictures_of_absurd_errors_have_limits(value):
             assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
 
 
+def test_each_bar_has_its_number_beside_it_also_one_that_is_cut():
+    sizes = {"persistence": 1.0, "mine": 25.0, "half": 0.5}
+    verdict = [
+        {"predictor": name, "loss": loss, "position_m": size, "heading_deg": size}
+        for name, size in sizes.items()
+        for loss in ("none", "any")
+        if (name, loss) != ("half", "any")  # has not been scored there
+    ]
+    picture = verdict_figure(verdict, predictor_styles(sizes))
+    picture.draw_without_rendering()
+    for ax in picture.axes:
+        shown = [text for text in ax.texts if text.get_text()]
+        assert sorted(t.get_text() for t in shown) == ["0.500", "1.00", "1.00", "25.0", "25.0"]
+        for text in shown:
+            box = text.get_window_extent()
+            assert picture.bbox.x0 <= box.x0 and box.x1 <= picture.bbox.x1
+            end = ax.transData.transform((min(float(text.get_text()), ax.get_xlim()[1]), 0.0))[0]
+            assert 0.0 < box.x0 - end < 20.0
+
+
 @pytest.mark.parametrize("factor", [1e300, math.inf])
 def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
     with np.errstate(all="ignore"):

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
+import shutil
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tests.twin.cli.command import run
 from twin import Log, Particulars
+from twin.benchmark.figures.style import new_figure
+from twin.cli import pictures
 
 
 @pytest.fixture
@@ -95,12 +100,72 @@ def test_particulars_written_anew_keep_what_was_written_by_hand(faulty, tmp_path
     assert boat.steering == "drives" and boat.shaft_speed > 10.0 and boat.instruments.gps_sd < 1.0
 
 
+def test_instruments_of_several_logs_are_written_once(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    logs, rng = [tmp_path / f"{name}.csv" for name in "abc"], np.random.default_rng(7)
+    for path, sd in zip(logs, (0.0, 0.01, 0.05), strict=True):
+        z = log.z.copy()
+        z[:, 5] += sd * rng.standard_normal(len(z))
+        dataclasses.replace(log, z=z).write(path)
+    quiet, written = ("--no-twin", "--no-picture"), tmp_path / "boat.toml"
+
+    def gyro_sd(*given):
+        run("check", *given, *quiet, "--write", written, "--force", check=None)
+        return float(re.search(r"gyro_sd = ([\d.]+)", written.read_text())[1])
+
+    each = [gyro_sd(path) for path in logs]
+    assert each == sorted(each) and each[2] > 2.0 * each[1]
+    assert gyro_sd(*logs) == gyro_sd(*logs[::-1]) == each[1]
+    assert "from c, b, a" in written.read_text() and "median of 3 logs" in written.read_text()
+    boat = folder / "run.toml"
+    run("check", *logs, *quiet, "--ship", boat, "--write", written, "--force", check=None)
+    assert Particulars.load(written).length == Particulars.load(boat).length
+    # a file that is replaced keeps what was written by hand, whether it is in use or not
+    written.write_text(re.sub("(?m)^mass = .*", "mass = 2500.0", written.read_text()))
+    out = run("check", *logs, *quiet, "--write", written, "--force", check=None).stdout
+    assert Particulars.load(written).mass == 2500.0 and "mass" in out
+    # logs of two boats have no instruments in common
+    shutil.copy(boat, logs[0].with_suffix(".toml"))
+    text = re.sub("(?m)^length = .*", "length = 3.0", boat.read_text())
+    logs[1].with_suffix(".toml").write_text(text)
+    said = run("check", *logs, *quiet, "--write", written, "--force", check=2).stderr
+    assert "--write" in said and "--ship" in said
+
+
 def test_several_logs_are_checked_in_turn(folder, faulty):
     quiet = ("--no-twin", "--no-picture")
     out = run("check", folder / "run.csv", faulty, *quiet, check=1).stdout
     assert "run: " in out and "bad: " in out
     said = run("check", folder / "run.csv", faulty, *quiet, "--json", "a.json", check=2).stderr
     assert "--json: that is for one log" in said
+
+
+@pytest.mark.parametrize(
+    ("lacking", "panels"),
+    [
+        ((), ["track", "commands", "speed", "turn", "heading"]),
+        (("gyro", "accel"), ["track", "commands", "speed", "turn", "heading"]),
+        (("gyro", "accel", "compass"), ["track", "commands", "speed", "heading"]),
+        (("gps", "n_", "delta"), ["turn", "heading"]),
+    ],
+)
+def test_the_picture_has_no_panel_without_a_curve(folder, tmp_path, monkeypatch, lacking, panels):
+    table = pl.read_csv(folder / "run.csv")
+    table = table.drop([c for c in table.columns if c.startswith((*lacking, "true"))])
+    table.write_csv(tmp_path / "part.csv")
+    drawn = {}
+
+    def figure(title, about, entries, *more):
+        made = new_figure(title, about, entries, *more)
+        drawn.update({"axes": made[1], "key": [text for _, text in entries]})
+        return made
+
+    monkeypatch.setattr(pictures, "new_figure", figure)
+    run("check", tmp_path / "part.csv", "--no-twin", "--out", tmp_path / "a.png", check=None)
+    assert sorted(drawn["axes"]) == sorted(panels)
+    for ax in drawn["axes"].values():
+        assert np.isfinite(ax.dataLim.get_points()).all()
+    assert ("fixes; left unit" in drawn["key"]) == ("gps" not in lacking)
 
 
 def test_a_twin_of_a_faulty_log_is_bad(folder, tmp_path):

@@ -250,7 +250,8 @@ def test_benchmark_end_to_end(empty):
     assert "zigzag_gps5_1" in again.stdout
     Path("broken.csv").write_text("t_s\n1\n")
     logs = ("broken.csv", log, "missing.csv")
-    mixed = run("benchmark", *logs, "--predictors", "persistence", "--out", "mixed", "--jobs", "1")
+    one = ("--predictors", "persistence", "--jobs", "1")
+    mixed = run("benchmark", *logs, *one, "--out", "mixed", check=1)
     assert "broken.csv" in mixed.stderr and "missing.csv" in mixed.stderr
     results = json.loads(Path("mixed/results.json").read_text())
     assert {row["scenario"] for row in results["rows"]} == {"zigzag_gps5_0"}

@@ -63,6 +63,7 @@ def test_what_is_printed_of_objects_is_one_line():
         (log, ["boat1_usv_circle", "rows"]),
         (one, ["persistence of boat1 USV", "t = 69"]),
         (one.predict("hold", horizon=5.0), ["5 s ahead"]),
+        (one.estimate(), ["t = 69", f"{one.estimate().state[0]:.3g}"]),
         (policy, ["mine", "raw of 2 entries", "8-2"]),
     ):
         assert len(repr(item)) < 90 and all(word in repr(item) for word in words), repr(item)

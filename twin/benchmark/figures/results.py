@@ -46,7 +46,7 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     """Draw the mean absolute errors with 95 % intervals over boats, the best predictor on top.
 
     ``rows`` are those of ``results["verdict"]``. The panels show persistence in full, and cut what
-    is longer.
+    is longer; the number stands at the end.
     """
     names = list(dict.fromkeys(row["predictor"] for row in rows))
     of = {(row["predictor"], row["loss"]): row for row in rows}
@@ -56,7 +56,7 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     size = (WIDTH, 2.0 * (0.3 * len(names) + 0.7))
     fig, axes = new_figure("Errors after 10 s", about, entries, mosaic, size)
     for panel, title in ERRORS.items():
-        ax = axes[panel]
+        ax, limit = axes[panel], _limit(rows, panel)
         set_title(ax, title)
         for j, loss in enumerate(losses):
             value, low, high = (
@@ -72,9 +72,12 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
                 alpha=LOSSES[loss][1],
                 error_kw={"ecolor": BLACK, "lw": 1.0},
             )
-            ax.bar_label(bars, [f"{v:#.3g}".rstrip(".") for v in value], padding=3, fontsize=9)
+            for bar, v, end in zip(bars, value, np.fmin(np.fmax(value, high), limit), strict=True):
+                at = end, bar.get_y() + 0.5 * bar.get_height()
+                text = "" if np.isnan(v) else f"{v:#.3g}".rstrip(".")
+                ax.annotate(text, at, (3, 0), textcoords="offset points", va="center", fontsize=9)
         ax.set_ylim(len(names), -0.2)
-        ax.set_xlim(0.0, _limit(rows, panel))
+        ax.set_xlim(0.0, limit)
         ax.set_yticks(np.arange(len(names)) + 0.4, names, parse_math=False)
         ax.grid(False, axis="y")
     return fig

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.benchmark.metrics import ORACLE
 
-__all__ = ["best_text", "grouped", "interval", "is_best", "number", "number_of"]
+__all__ = ["best_text", "interval", "is_best", "number", "number_of"]
 
 Row = Mapping[str, Any]
 
@@ -75,14 +75,3 @@ def is_best(row: Row, best: str | None, factor: float = 1.0) -> bool:
     """Return whether a row has the best value, as :func:`best_text` prints it."""
     own = number(factor * number_of(row, "value"))
     return best is not None and row["predictor"] != ORACLE and own == best
-
-
-def grouped(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Return rows with the same values of some keys together, in their order.
-
-    A key that a row lacks counts as an empty text.
-    """
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row.get(key, "") for key in keys), []).append(row)
-    return groups

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.agents.agent import Agent
+from twin.agents.agent import Agent, interface_of
 from twin.agents.evaluation import make_envs
 from twin.live.sessions.sailing import SailingSession, losses, twin_of
 from twin.live.sessions.session import Snapshot, sea_of
@@ -60,10 +60,9 @@ class PolicySession(SailingSession):
         self.agent = agent
         self.envs = make_envs(
             1,
-            observation=agent.observation,
             autoreset_mode="Disabled",
             record=True,
-            **{**env, "faults": (*losses(), *faults)},
+            **{**interface_of(agent), **env, "faults": (*losses(), *faults)},
         )
         vessel, self.simulation = self.envs.vessel, self.envs.simulation
         dof = self.simulation.dof
