@@ -341,8 +341,9 @@ def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
-    """Return the score of a hypothesis that explains all that it touches."""
-    touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
+    """Return the score of a hypothesis with a number that explains all that it touches."""
+    known = [one for name, one in base.items() if one and name not in BY_COMMANDS]
+    touched = [one for one in known if not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
     return most - each.cost - COST
 

@@ -175,12 +175,13 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
     clocked = _only(timed, raw)
-    if isinstance(file, CsvFile) and not file.zeros and (np.diff(clocked) < 0.0).any():
+    back = np.diff(clocked[~wild_stamps(clocked)]) < 0.0
+    if isinstance(file, CsvFile) and not file.zeros and back.any():
         file.zeros = timed.sources[0]
         again = gathered(file, entries, layout)
         if lack_zeros(clocked, again.data[TIME]):
             again.notes.append(
-                f"t_s: time goes back {(np.diff(clocked) < 0.0).sum()} times unless the fractions "
+                f"t_s: time goes back {back.sum()} times unless the fractions "
                 f"of {file.zeros} lack zeros in front (.5 for .005); read so"
             )
             return again
