@@ -407,6 +407,40 @@ def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: ran
     assert log.cmd[rows[0], 0] == pytest.approx(first, abs=0.2)
 
 
+@pytest.mark.parametrize("mark", ["0", "65535"])
+def test_a_pulse_of_no_width_is_named_where_a_mapping_leaves_it_out(
+    tmp_path: Path, mark: str
+) -> None:
+    path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k == 300 else "1700")
+    mapping = path.with_suffix(".mapping.toml")
+    said, log = proposed(path)
+    mapping.write_text(mapping.read_text().replace(f", empty = [{mark}]", ""))
+    named = Log.read(path)
+    assert any(f"pwm_left: 1 of 600 pulses are {mark} us" in note for note in named.notes)
+    assert np.array_equal(named.cmd, log.cmd)
+
+
+@pytest.mark.parametrize("mark", [511.0, 999.0, -1.0, 360.0])
+@pytest.mark.parametrize("rows", [[300], list(range(5, 600, 30))])
+def test_marks_of_a_heading_in_a_native_log_are_one_finding(
+    tmp_path: Path, mark: float, rows: list[int]
+) -> None:
+    lines = ["t_s,n_rps,delta_rad,gps_x_m,gps_y_m,compass_deg"]
+    for k in range(600):
+        course = math.radians(80.0) + 0.4 * math.sin(0.02 * k)
+        heading = mark if k in rows else math.degrees(course)
+        north, east = 0.4 * k * math.cos(1.4), 0.4 * k * math.sin(1.4)
+        lines.append(f"{0.2 * k:.1f},5,0,{north:.3f},{east:.3f},{heading:.6f}")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines))
+    log, check = Log.read(path), check_log(path)
+    assert np.flatnonzero(np.isnan(log.z[:, 4])).tolist() == rows
+    (found,) = (each for each in check.findings if each.sensor == "compass_rad")
+    assert found.code == "mark" and f"({mark:g} deg)" in found.what
+    assert found.what.startswith(f"compass_deg: {len(rows)} of 600")
+    assert any(f"({mark:g} degrees)" in note for note in log.notes)
+
+
 UNKNOWN = {
     "heading 511": ("heading_deg", "511.0"),
     "heading 999": ("heading_deg", "999"),
