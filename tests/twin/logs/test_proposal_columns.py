@@ -102,6 +102,37 @@ def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[s
     assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(angle), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("names", "size"),
+    [(("throttle", "turn"), 1.0), (("Throttle", "Turn"), 100.0), (("speed_cmd", "turn_cmd"), 1.0),
+     (("cmd_vel.linear.x", "cmd_vel.angular.z"), 1.0)],
+)  # fmt: skip
+def test_a_turn_beside_a_throttle_is_a_command(
+    tmp_path: Path, names: tuple[str, str], size: float
+) -> None:
+    columns = boat()
+    rate = np.radians(columns["yaw_rate_dps"])
+    throttle, turn = size * np.abs(np.sin(columns["time_s"] / 20.0)), size * np.tanh(3.0 * rate)
+    kept = {name: columns[name] for name in ("time_s", "lat", "lon", "heading_deg")}
+    found = propose(write(tmp_path / "a.csv", kept | dict(zip(names, (throttle, turn)))))
+    text = found.text("a.csv")
+    assert "gyro_radps" not in text and f'n_rps = "{names[0]}"' in text
+    assert re.search(rf'delta_rad = .*"{re.escape(names[1])}"', text)
+    assert any(f"{names[1]}: deg, rad or a share" in each for each in found.questions)
+
+
+@pytest.mark.parametrize("unit", [1.0, 180.0 / math.pi])
+def test_a_turn_beside_two_shafts_is_a_yaw_rate_where_the_heading_says_so(
+    tmp_path: Path, unit: float
+) -> None:
+    columns = boat()
+    rate = unit * np.radians(columns.pop("yaw_rate_dps"))
+    text = propose(write(tmp_path / "a.csv", columns | {"turn": rate})).text("a.csv")
+    assert re.search(r'gyro_radps = .*"turn"', text) and "delta_rad = 0.0" in text
+    text = propose(write(tmp_path / "a.csv", columns | {"turn": np.sign(rate)})).text("a.csv")
+    assert "gyro_radps" not in text and "left out: turn" in text
+
+
 def skid_boat() -> Columns:
     """Return the boat with two columns that are mixed into its thrusters."""
     columns = boat()

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.logs.proposal.header_words import (
     NAMES,
+    is_setpoint,
     is_shaft,
     is_side,
     is_steering,
@@ -47,6 +48,9 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
         if any(name in given for name in (single, *pair)):
             continue
         there = [n for n in columns.left if n in columns.numbers and is_named(n)]
+        there.sort(key=is_setpoint)  # what was done tells more than what was asked for
+        if any(line.startswith("n_left_rps") for line in found.lines.get("columns", ())):
+            there = [n for n in there if not is_setpoint(n) and "turn" not in words_of(n)]
         sides = _sides(columns, found, there, shafts=is_named is is_shaft)
         if sides is not None:
             for target, source in zip(pair, sides, strict=True):

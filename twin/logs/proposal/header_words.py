@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 __all__ = [
     "NAMES",
+    "is_setpoint",
     "is_shaft",
     "is_side",
     "is_steering",
@@ -33,8 +34,15 @@ SHAFT = (
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|timon|timone"
+    r"ruderwinkel|barre|safran|timon|timone|turn"
 )
+
+SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
+"""Words of what a boat is told to do, not of what it does; ..."""
+
+AHEAD = r"speed|vel|velocity|linear|surge|forward"
+ROUND = r"yaw|angular|rotation|rot|yawrate|turnrate"
+"""... of its propulsion and its steering, where no other word says so."""
 
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
@@ -50,7 +58,7 @@ NAMES = {
     "course": r"cog|course|crs|gcrs|track",
     "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
-    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|turn",
+    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",
     "accel_z": r"az|accz|accelz",
@@ -62,7 +70,7 @@ NAMES = {
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
     "to_east": r"ve|vele|veast|veleast|velocityeast|vy|vely",
-    "steering": r"steer|steering|str|helm|lenkung",
+    "steering": r"steer|steering|str|helm|lenkung|turn|yaw|angular|rotation",
     "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+|rc\d+",
     "wind_speed": r"tws|windspeed",
     "wind_from": r"twd|winddirection|winddir|windfrom",
@@ -125,7 +133,7 @@ def unit_of(name: str, among: Sequence[str]) -> str:
 
 def is_turn_rate(name: str) -> bool:
     """Return whether a name is that of a rate of turn, such as ``YawRate`` or ``yaw [deg/s]``."""
-    turns = rf"{NAMES['heading']}|{NAMES['gyro']}"
+    turns = rf"{NAMES['heading']}|{NAMES['gyro']}|turn"
     rates = r"rate|speed|velocity|vel|dot|angvel"
     words = words_of(name)
     if not any(re.fullmatch(rf"({turns})({rates})?", word) for word in words):
@@ -133,6 +141,11 @@ def is_turn_rate(name: str) -> bool:
     if any(re.fullmatch(rf"({turns})?({rates})", word) for word in words):
         return True
     return bool(unit_of(name, ("degpmin", "degps", "radps")))
+
+
+def is_setpoint(name: str) -> bool:
+    """Return whether a name is that of something that the boat is told."""
+    return any(re.fullmatch(SETPOINT, word) for word in words_of(name))
 
 
 def _is_command(name: str, pattern: str) -> bool:
@@ -143,12 +156,14 @@ def _is_command(name: str, pattern: str) -> bool:
 
 def is_steering(name: str) -> bool:
     """Return whether a name is that of a steering angle."""
-    return _is_command(name, STEER)
+    told = is_setpoint(name) and _is_command(name, ROUND)
+    return told or (_is_command(name, STEER) and not is_turn_rate(name))
 
 
 def is_shaft(name: str) -> bool:
     """Return whether a name is that of a shaft speed or throttle."""
-    return _is_command(name, SHAFT) or (_is_command(name, PULSE) and not is_steering(name))
+    other = _is_command(name, PULSE) or (is_setpoint(name) and _is_command(name, AHEAD))
+    return _is_command(name, SHAFT) or (other and not is_steering(name))
 
 
 def is_side(name: str) -> bool:

@@ -22,7 +22,17 @@ from twin.logs.columns import OTHER_UNITS, SINGLE, Array
 from twin.logs.errors import LogError
 from twin.logs.log import read_table
 from twin.logs.proposal.commands import find_commands, find_pulses
-from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
+from twin.logs.proposal.header_words import (
+    NAMES,
+    is_setpoint,
+    is_shaft,
+    is_steering,
+    is_turn_rate,
+    means,
+    sides_of,
+    unit_of,
+    words_of,
+)
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
 from twin.logs.proposal.sheet import (
     Columns,
@@ -266,28 +276,35 @@ def _gyro(
 ) -> None:
     """Find the yaw rate; the heading tells which it is, its unit and sign."""
     best: Agreement | None = None
-    name = pick(columns, "gyro")
+    name, unit, more, why = pick(columns, "gyro"), "", "", ""
+    scale = {"radps": 1.0, "degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
+    # without a unit, turn is what steers, where nothing else does
+    there = [each for each in columns.left if each in columns.numbers]
+    steered = sum(map(is_steering, there)) > 1 or sides_of([*filter(is_shaft, there)]) is not None
+    for each in there if t is not None and heading is not None else ():
+        plain = is_steering(each) and not is_setpoint(each) and "turn" in words_of(each)
+        named = means(each, NAMES["gyro"]) or is_turn_rate(each) or (plain and steered)
+        if not named:
+            continue
+        fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
+        sure = fit is not None and fit.coherence > 0.8
+        says = [u for u, size in scale.items() if sure and 0.7 < fit.ratio * size < 1.4]
+        if fit is None or (plain and not says) or (best and best.coherence >= fit.coherence):
+            continue
+        best, name, unit, more = fit, each, "".join(says), ""
+        why = "as the heading says" if says else ""
+        if sure and abs(fit.turned) > 1.0:
+            more, why = "scale = -1.0", "it turns against the heading"
     if name is None:
         return
-    if t is not None and heading is not None:
-        for each in columns.left:
-            named = means(each, NAMES["gyro"]) or is_turn_rate(each)
-            if each not in columns.numbers or not named:
-                continue
-            fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
-            if fit is not None and (best is None or fit.coherence > best.coherence):
-                best, name = fit, each
-    unit = unit_of(name, ("degpmin", "degps", "radps"))
-    scale = {"degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
-    more = why = ""
-    if best is not None and best.coherence > 0.8:
-        for each in ("radps", "degps", "degpmin"):
-            if 0.7 < best.ratio * scale.get(each, 1.0) < 1.4:
-                unit, why = each, "as the heading says"
-        if abs(best.turned) > 1.0:
-            more, why = "scale = -1.0", "it turns against the heading"
-    elif best is not None:
+    if best is not None and best.coherence <= 0.8:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    elif best is not None and not unit:
+        found.questions.append(
+            f"{name}: turns as the heading does, but in which unit? By that, scale = "
+            f"{1.0 / best.ratio:.3g}"
+        )
+    unit = unit or unit_of(name, ("degpmin", "degps", "radps"))
     if heading is None and not unit:
         if float(np.quantile(np.abs(known(columns.numbers[name])), 0.99)) > _FASTEST:
             unit, why = "degps", "by its size"

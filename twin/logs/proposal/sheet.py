@@ -15,7 +15,7 @@ from twin.logs.errors import LogError
 from twin.logs.files import hemispheres, number_of, twice_said, units_line
 from twin.logs.marks import NO_PULSES, RARE, marks_of
 from twin.logs.parquet import column_file
-from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
+from twin.logs.proposal.header_words import NAMES, is_setpoint, is_turn_rate, means, words_of
 
 __all__ = [
     "Columns",
@@ -108,6 +108,7 @@ def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:
         if (name in columns.numbers or not numeric)
         and (means(name, NAMES[meaning]) or (meaning == "gyro" and is_turn_rate(name)))
         and "rpm" not in words_of(name)  # the r of rpm_r is a side
+        and not is_setpoint(name)
         # a yaw rate is neither a heading nor a speed
         and not (meaning in ("heading", "speed") and is_turn_rate(name))
     ]
