@@ -153,6 +153,10 @@ def check_time(recording: Recording) -> list[Finding]:
         remedy = "stamp samples when they are taken, not when they are written"
         found.append(Finding(WARNING, "jitter", what, remedy, "time", jitter))
     along, across, speed = fix_scatter(*recording.samples(*FIX))
+    if speed > FAST_MPS:
+        what = f"the fixes go at {speed:.3g} m/s: rows are {median:.3g} s apart"
+        remedy = 'if the time counts minutes or so, unit = "min" for t_s in a mapping file'
+        found.append(Finding(ERROR, "unit", what, remedy, "time", speed))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
         what = (
@@ -327,7 +331,10 @@ def _silent(
     t, values = recording.t[given], z[given]
     if len(t) < ENOUGH or is_dead(values[:, 0]):
         return []
-    size = np.sqrt((np.diff(values, axis=0) ** 2).sum(axis=1))
+    step = np.diff(values, axis=0)
+    if names[0] in HEADINGS:  # past a whole turn is no step
+        step = np.remainder(step + math.pi, 2.0 * math.pi) - math.pi
+    size = np.sqrt((step**2).sum(axis=1))
     new = np.append(0, np.flatnonzero(size > 0.0) + 1)
     edges = np.concatenate(([recording.t[0]], t[new], [recording.t[-1]]))
     # gaps that the clock skipped are reported for the clock
@@ -435,6 +442,9 @@ def without_marks(
         absurd = size > max(ABSURD * usual, least.get(unit, FAR))
         if sensor in HEADINGS:
             absurd |= np.isin(values, marks_of(values, 2.0 * math.pi))
+        elif sensor in COMMANDS:
+            often = np.isin(values, marks_of(values, math.inf))
+            absurd |= often & (size > (least["rad"] if unit == "rad" else ABSURD * usual))
         rows = np.flatnonzero(absurd)
         if not len(rows):
             continue

@@ -408,7 +408,8 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
         ]
         if not likely:
             return found, s, undone
-        best = max(likely, key=lambda trial: trial.score)
+        # what a guess takes from other columns agrees with them in any case
+        best = max(likely, key=lambda trial: (not trial.hypothesis.guess, trial.score))
         near = [t for t in likely if t.score > best.score - COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(best)

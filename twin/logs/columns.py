@@ -25,7 +25,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
+EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "NULL", "None", "-", "--", "---")
 """Cells that hold no value."""
 
 REQUIRED = (TIME, *COMMANDS, "gps_x_m", "gps_y_m", "compass_rad")

@@ -314,7 +314,7 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
     if is_nmea_log(path):
         table = read_nmea_log(path, layout)
         constants = (
-            "positions come of GGA, RMC, GLL, headings of HDT, HDG, HDM, THS, VHW, PASHR; of "
+            "positions come of GGA, RMC, GNS, GLL, headings of HDT, HDG, HDM, THS, VHW, PASHR; of "
             "commands give constants, such as n_rps = 0.0, in "
             f"{sibling_path(path, '.mapping.toml')}"
         )

@@ -23,7 +23,10 @@ and other commands than pulses lie among them."""
 
 
 def marks_of(values: Array, turn: float = math.nan) -> list[float]:
-    """Return the numbers of a speed, or of an angle that counts a turn so, that are no values."""
+    """Return the numbers of a speed, or of an angle that counts a turn so, that are no values.
+
+    An infinite turn is that of numbers of either sign that are no headings.
+    """
     seen, angle = values[np.isfinite(values)], turn == turn
     found: list[float] = []
     while len(seen) >= ENOUGH and len(np.unique(seen)) > 2:
@@ -35,9 +38,10 @@ def marks_of(values: Array, turn: float = math.nan) -> list[float]:
             # a whole turn, more or -1 may be an angle beside others to the north
             apart = np.abs(np.remainder(np.diff(seen)[edge] / turn + 0.5, 1.0) - 0.5) > 1.0 / 12.0
             whole = turn * (1.0 - 1e-9)
-            turned = angle and (mark < 0.0 <= others.min() or mark >= whole >= others.max())
-            turned &= apart.mean() > 0.5 or abs(mark) > 13.0 / 12.0 * turn
             often = mark in (102.3, 1023.0) or len(others) < (1.0 - RARE) * len(seen)
+            below = mark < 0.0 or (mark == 0.0 and often)
+            turned = angle and ((below and others.min() >= 0.0) or mark >= whole >= others.max())
+            turned &= apart.mean() > 0.5 or abs(mark) > 13.0 / 12.0 * turn
             far = beyond > np.ptp(others) and often
             if far or (not angle and mark < 0.0 <= others.min()) or turned:
                 found.append(float(mark))

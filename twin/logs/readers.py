@@ -212,13 +212,6 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     plane = None
     for entry in entries:
         values = [raw[source] for source in entry.sources]
-        if entry.plane is not None:
-            plane = entry.plane(values)
-            if none := int(((values[0] == 0.0) & (values[1] == 0.0)).sum()):
-                notes.append(
-                    f"{' and '.join(entry.sources)}: {none} of {len(place)} positions are (0, 0), "
-                    "as of a receiver without a fix, taken as empty"
-                )
         for source in entry.pulses:
             none = np.isin(raw[source], NO_PULSES)
             if none.any():
@@ -228,6 +221,15 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
                     f"there is no signal; taken as empty: empty = [{numbers}] in the mapping"
                 )
         made = entry.columns(values)
+        if entry.plane is not None:
+            plane = entry.plane(values)
+            none = np.isnan(made["gps_x_m"]) & np.isfinite(values[0] + values[1])
+            if none.any():
+                one, other = values[0][none][0], values[1][none][0]
+                notes.append(
+                    f"{' and '.join(entry.sources)}: {none.sum()} of {len(place)} positions are "
+                    f"({one:g}, {other:g}), as of a receiver without a fix, taken as empty"
+                )
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
     notes += notes_of(entries)

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.logs.proposal.header_words import (
     NAMES,
+    is_rpm,
     is_setpoint,
     is_shaft,
     is_side,
@@ -140,14 +141,17 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
 
 
 def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
-    values, words = known(columns.numbers[name]), words_of(name)
+    values, rpm = known(columns.numbers[name]), is_rpm(name)
     most = float(np.abs(values).max(initial=0.0))
-    if is_pulses(values) and "rpm" not in words:
+    if is_pulses(values) and not rpm:
         put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
-    elif "rpm" in words or most > 150.0:
-        if "rpm" not in words:
+        others = [n for n in columns.left if n in columns.numbers and is_pulses(columns.numbers[n])]
+        if not (others or means(name, f"{NAMES['channel']}|us") or (values == 1500.0).any()):
+            found.questions.append(f'{name}: pulse widths? If it is rpm, write unit = "rpm" alone')
+    elif rpm or most > 150.0:
+        if not rpm:
             found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")
-        put(columns, found, target, name, "rpm", why="" if "rpm" in words else "by its size")
+        put(columns, found, target, name, "rpm", why="" if rpm else "by its size")
     else:
         put(columns, found, target, name, why="rev/s, or any unit: as in the particulars")
 

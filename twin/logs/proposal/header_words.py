@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 __all__ = [
     "NAMES",
+    "is_rpm",
     "is_setpoint",
     "is_shaft",
     "is_side",
@@ -29,12 +30,13 @@ SIDES = {
 
 SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
-    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador"
+    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|giri|rotacao|"
+    r"revoluciones|varvtal"
 )
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|timon|timone|turn"
+    r"ruderwinkel|barre|safran|timon|timone|roer|roerhoek|ror|rorvinkel|leme|tiller|turn"
 )
 
 SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
@@ -49,14 +51,17 @@ PULSE = r"pwm|servo"
 
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
-    r"datum|zeit|uhrzeit|heure|fecha|hora|tijd",
-    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine",
-    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine",
-    "north": r"x|north|northing",
-    "east": r"y|east|easting",
-    "speed": r"sog|speed|spd|velocity|groundspeed",
-    "course": r"cog|course|crs|gcrs|track",
-    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
+    r"datum|zeit|uhrzeit|zeitstempel|heure|temps|fecha|hora|tiempo|tempo|tijd|tid",
+    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|breddegrad|breedtegraad",
+    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine|"
+    r"lengdegrad|lengtegraad",
+    "north": r"x|north|northing|utmn",
+    "east": r"y|east|easting|utme",
+    "speed": r"sog|speed|spd|velocity|groundspeed|fahrt|vitesse|velocidad|velocidade|velocita|"
+    r"geschwindigkeit|fart|snelheid",
+    "course": r"cog|course|crs|gcrs|track|kurs|koers|route|rumbo|rumo|rotta",
+    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|kompasskurs|steuerkurs|"
+    r"kompas|cap|prua|proa",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
     "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz",
     "accel_x": r"ax|accx|accelx",
@@ -80,16 +85,16 @@ NAMES = {
 """Words in the names of columns, by what they mean."""
 
 UNIT_WORDS = {
-    "deg": r"deg|degs|degree|degrees|°",
+    "deg": r"deg|degs|degree|degrees|°|grad|grados|gradi|degres",
     "rad": r"rad|rads|radians",
-    "kn": r"kn|kt|kts|knot|knots",
+    "kn": r"kn|kt|kts|knot|knots|knoten|nds|noeuds|nudos|nodi|knop",
     "kmph": r"kmh|kmph|kph",
     "mps": r"mps|ms1",
     "mps2": r"mps2|ms2|mpss",
     "degps": r"degps|dps|degs",
     "degpmin": r"degpmin|degmin|dpm",
     "radps": r"radps|rads",
-    "rpm": r"rpm",
+    "rpm": r"rpm|[u1]pmin|trpmin|omwpmin",
     "rps": r"rps|hz",
     "ms": r"ms|msec|millis|milliseconds",
     "us": r"us|usec|micros",
@@ -143,6 +148,11 @@ def is_turn_rate(name: str) -> bool:
     return bool(unit_of(name, ("degpmin", "degps", "radps")))
 
 
+def is_rpm(name: str) -> bool:
+    """Return whether a name is that of revolutions a minute."""
+    return "rpm" in words_of(name) or bool(unit_of(name, ("rpm",)))
+
+
 def is_setpoint(name: str) -> bool:
     """Return whether a name is that of something that the boat is told."""
     return any(re.fullmatch(SETPOINT, word) for word in words_of(name))
@@ -151,7 +161,9 @@ def is_setpoint(name: str) -> bool:
 def _is_command(name: str, pattern: str) -> bool:
     """Return whether a name is that of a command: a word of a pattern, with or without a side."""
     side = rf"({'|'.join(SIDES.values())}|[ab]|\d)?"
-    return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
+    words = words_of(name)
+    there = [word for word in words if len(word) > 1 or word == words[0]]
+    return any(re.fullmatch(rf"({pattern}){side}", word) for word in there)
 
 
 def is_steering(name: str) -> bool:

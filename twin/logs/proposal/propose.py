@@ -244,15 +244,20 @@ def _heading(
             f"{name}: from magnetic north? Then add the variation, east above 0, to its offset, rad"
         )
     values, more, why = columns.numbers[name], "", ""
-    if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
-        values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
-    unit = angle_unit(name, values)
-    if unit == "deg" and not unit_of(name, ("deg",)) and t is not None and fix is not None:
-        fits = [heading_on_track(fix, clean(t, k * values)) for k in (1.0, math.pi / 180.0)]
-        radians, degrees = (0.0 if f is None else max(f.coherence, f.mirrored) for f in fits)
-        if radians > degrees + 0.3:
-            unit, why = "rad", "turns are counted on, as the track says"
-    values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
+    most = float(np.abs(known(values)).max(initial=0.0))
+    scale = 1.0 if not 3000.0 < most <= 36000.0 else 0.1 if most <= 3600.0 else 0.01
+    unit, degree = angle_unit(name, values), math.pi / 180.0
+    if unit == "deg" and t is not None and fix is not None:
+        ways = {("deg", part): part * degree for part in (1.0, 0.1, 0.01)}
+        ways |= {} if unit_of(name, ("deg",)) else {("rad", 1.0): 1.0}
+        fits = {way: heading_on_track(fix, clean(t, k * values)) for way, k in ways.items()}
+        goes = {way: 0.0 if f is None else max(f.coherence, f.mirrored) for way, f in fits.items()}
+        best = max(goes, key=lambda way: goes[way])
+        if goes[best] > goes[unit, scale] + 0.3:
+            unit, scale = best
+            why = "as the track says" if unit == "deg" else "turns are counted on, as the track says"
+    more = f"scale = {scale:g}" * (scale < 1.0)
+    values = scale * values * (degree if unit == "deg" else 1.0)
     heading = None if t is None else clean(t, values)
     east = False if heading is None or fix is None else is_from_east(fix, heading)
     if east is None:
