@@ -236,7 +236,9 @@ def _mean(
 ) -> npt.NDArray[Any]:
     """Return means over so many steps around each, or some; NaN where some are missing."""
     lost = np.isnan(values)
-    total = np.concatenate([[0.0], np.cumsum(np.where(lost, 0.0, values) if lost.any() else values)])
+    total = np.concatenate(
+        [[0.0], np.cumsum(np.where(lost, 0.0, values) if lost.any() else values)]
+    )
     first = np.arange(len(values))[at] - count // 2
     whole = (first >= 0) & (first + count <= len(values))
     if lost.any():

@@ -144,7 +144,8 @@ def check_time(recording: Recording) -> list[Finding]:
         what = (
             f"{gap.sum()} gap(s) in time above {GAP_STEPS:.0f} x the median step, the longest "
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
-            + f": {hours / HOUR_S:g} h, as local time is; the clock is not UTC" * (hours > 0.0)
+            + f": {hours / HOUR_S:g} h, as local time is; the clock is not UTC"
+            * (hours > 0.0)
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
     jitter, whose = _uneven(step[~gap]), _uneven_sensors(recording)

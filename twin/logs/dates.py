@@ -167,7 +167,7 @@ _CLOCK = re.compile(
     r"[A-Z][a-z]+/[A-Za-z_/]+)?$"
 )
 
-_COMPACT = re.compile(r"^(\d{8}|\d{6})([ T]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
+_COMPACT = re.compile(r"^(\d{8}|\d{6})([ T_-]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
 
 _NUMBERS = re.compile(r"^(\d{1,2})([/.\-])(\d{1,2})\2(\d{4}|\d{2})$")
 
@@ -266,7 +266,7 @@ def with_zeros(cells: Sequence[str]) -> list[str]:
 def lack_zeros(stamps: Array, padded: Array) -> bool:
     """Return whether times go back, but with zeros in front of their fractions always advance."""
     one, other = (np.diff(each[np.isfinite(each)]) for each in (stamps, padded))
-    return bool((one < 0.0).any() and (other > 0.0).all())
+    return bool(len(one) == len(other) and (one < 0.0).any() and (other > 0.0).all())
 
 
 def _undated(form: str) -> bool:

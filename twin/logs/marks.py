@@ -38,10 +38,11 @@ def marks_of(values: Array, turn: float = math.nan) -> list[float]:
             # a whole turn, more or -1 may be an angle beside others to the north
             apart = np.abs(np.remainder(np.diff(seen)[edge] / turn + 0.5, 1.0) - 0.5) > 1.0 / 12.0
             whole = turn * (1.0 - 1e-9)
-            often = mark in (102.3, 1023.0) or len(others) < (1.0 - RARE) * len(seen)
+            times = len(seen) - len(others)
+            often = mark in (102.3, 1023.0) or times > max(RARE * len(seen), 1.0)
             below = mark < 0.0 or (mark == 0.0 and often)
             turned = angle and ((below and others.min() >= 0.0) or mark >= whole >= others.max())
-            turned &= apart.mean() > 0.5 or abs(mark) > 13.0 / 12.0 * turn
+            turned &= (apart.mean() > 0.5 and times > 1) or abs(mark) > 13.0 / 12.0 * turn
             far = beyond > np.ptp(others) and often
             if far or (not angle and mark < 0.0 <= others.min()) or turned:
                 found.append(float(mark))

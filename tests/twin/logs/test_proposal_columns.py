@@ -451,8 +451,14 @@ def test_a_pulse_of_no_width_is_named_where_a_mapping_leaves_it_out(
     assert np.array_equal(named.cmd, log.cmd)
 
 
-@pytest.mark.parametrize("mark", [511.0, 999.0, -1.0, 360.0])
-@pytest.mark.parametrize("rows", [[300], list(range(5, 600, 30))])
+@pytest.mark.parametrize(
+    ("mark", "rows"),
+    [
+        (511.0, [300]),
+        (999.0, [300]),
+        *((m, [*range(5, 600, 30)]) for m in (511.0, -1.0, 360.0, 0.0)),
+    ],
+)
 def test_marks_of_a_heading_in_a_native_log_are_one_finding(
     tmp_path: Path, mark: float, rows: list[int]
 ) -> None:
@@ -495,6 +501,86 @@ def test_numbers_of_what_is_not_known_are_no_values(tmp_path: Path, name: str) -
     values = log.z[:, 4] if column == "heading_deg" else np.hypot(log.z[:, 2], log.z[:, 3])
     assert np.isnan(values).sum() >= 12 and not np.isfinite(values[100:110]).any()
     assert np.nanmax(values) < 2.0 * math.pi
+
+
+@pytest.mark.parametrize("parts", [1, 10, 100])
+def test_parts_of_degrees_are_told_by_the_track(tmp_path: Path, parts: int) -> None:
+    tenths = foreign(
+        tmp_path / "a.csv",
+        heading_deg=lambda k: f"{parts * (math.degrees(0.01 * k) % 360.0):.0f}",
+    )
+    tenths.write_text(tenths.read_text().replace("heading_deg", "heading", 1))
+    _, log = proposed(tenths)
+    assert np.nanmax(log.z[:, 4]) == pytest.approx(6.0, abs=0.02)
+
+
+def test_places_in_radians_and_places_that_are_none_are_asked_or_named(tmp_path: Path) -> None:
+    _, usual = proposed(foreign(tmp_path / "a.csv"))
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    places = [[math.radians(float(x)) for x in line.split(",")[1:3]] for line in lines[1:]]
+    of = {"lat": lambda k: f"{places[k][0]:.12f}", "lon": lambda k: f"{places[k][1]:.12f}"}
+    said, log = proposed(foreign(tmp_path / "b.csv", **of))
+    assert "lat, lon: radians" in said
+    assert log.z[:, :2] == pytest.approx(usual.z[:, :2], abs=0.01, nan_ok=True)
+    cells = {
+        name: [line.split(",")[j] for line in lines[1:]] for j, name in ((1, "lat"), (2, "lon"))
+    }
+    of = {
+        "lat": lambda k: "91" if k == 7 else cells["lat"][k],
+        "lon": lambda k: "181" if k == 7 else cells["lon"][k],
+    }
+    _, log = proposed(foreign(tmp_path / "c.csv", **of))
+    assert np.isnan(log.z[7, 0]) and any("are (91, 181), as of" in note for note in log.notes)
+
+
+def test_x_to_the_east_is_told_by_the_course(tmp_path: Path) -> None:
+    columns = boat()
+    psi = np.radians(columns["heading_deg"])
+    north, east = (0.2 * np.cumsum(1.5 * f(psi)) for f in (np.cos, np.sin))
+    del columns["lat"], columns["lon"]
+    columns |= {"sog_mps": np.full(ROWS, 1.5), "cog": columns["heading_deg"]}
+    found = propose(write(tmp_path / "a.csv", columns | {"x": east, "y": north}))
+    assert 'gps_x_m = "y"' in found.text("a") and "enu" not in found.text("a")
+    assert any("x is east and y north" in each for each in found.questions)
+    found = propose(write(tmp_path / "a.csv", columns | {"x": north, "y": east}))
+    assert 'gps_x_m = "x"' in found.text("a")
+
+
+def test_revolutions_a_minute_are_no_pulses_and_a_motor_without_a_neutral_is_asked(
+    tmp_path: Path,
+) -> None:
+    def idles(k: int) -> str:
+        return "0" if k % 100 < 50 else str(850 + k)
+
+    named = foreign(tmp_path / "a.csv", pwm_left=idles, pwm_right=idles)
+    text = named.read_text()
+    named.write_text(text.replace("pwm_left", "rpm_left", 1).replace("pwm_right", "rpm_right", 1))
+    said, log = proposed(named)
+    assert "empty" not in said and log.cmd[:, 0].max() == pytest.approx((850 + 599) / 60.0)
+    said, _ = proposed(foreign(tmp_path / "b.csv"))
+    assert "pwm_left: pulse widths, and stopped at 1500 us?" in said
+
+
+LANGUAGES = [
+    "Zeit (s);Breite (°);Länge (°);Fahrt (kn);Kurs (°);Kompasskurs (°);Drehzahl links (1/min);x",
+    "Temps (s);Latitude;Longitude;Vitesse (nds);Route (deg);Cap (deg);Régime gauche (tr/min);x",
+    "Tid;Breddegrad;Lengdegrad;Fart (knop);Kurs;Heading;Turtall babord;x",
+    "time|lat|lon|speed (kn)|course|heading_deg|rpm port|x",
+]
+
+
+@pytest.mark.parametrize("head", LANGUAGES)
+def test_headers_of_other_languages_are_read(tmp_path: Path, head: str) -> None:
+    mark = "|" if "|" in head else ";"
+    lines = foreign(tmp_path / "a.csv").read_text().splitlines()[1:]
+    path = tmp_path / "b.csv"
+    path.write_text("\n".join([head, *(line.replace(",", mark) for line in lines)]), "utf-8")
+    text = propose(path).text("b.csv")
+    names = head.split(mark)
+    for key, name in (("latitude", 1), ("longitude", 2), ("speed", 3), ("course", 4)):
+        assert re.search(rf'{key} = .*"{re.escape(names[name])}"', text)
+    assert re.search(rf'compass_rad = .*"{re.escape(names[5])}"', text)
+    assert re.search(rf'n_(left_)?rps = .*"{re.escape(names[6])}"', text)
 
 
 def test_a_heading_of_360_is_north(tmp_path: Path) -> None:

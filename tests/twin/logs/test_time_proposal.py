@@ -57,6 +57,7 @@ def part(t: datetime, digits: int = 3) -> str:
 
 
 DATES: dict[str, tuple[str, Callable[[datetime], str], float]] = {
+    "dash": ("Time", lambda t: f"{t:%Y%m%d-%H%M%S}.{part(t)}", 0.0),
     "UTC": ("Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} UTC", 0.0),
     "GMT": ("Time", lambda t: f"{t:%d %b %Y %H:%M:%S.%f} GMT", 0.0),
     "CEST": ("Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} CEST", -7200.0),

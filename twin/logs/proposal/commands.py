@@ -145,9 +145,13 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
     most = float(np.abs(values).max(initial=0.0))
     if is_pulses(values) and not rpm:
         put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
-        others = [n for n in columns.left if n in columns.numbers and is_pulses(columns.numbers[n])]
-        if not (others or means(name, f"{NAMES['channel']}|us") or (values == 1500.0).any()):
-            found.questions.append(f'{name}: pulse widths? If it is rpm, write unit = "rpm" alone')
+        if (values == 1500.0).mean() < 0.02:
+            found.questions.append(
+                f"{name}: pulse widths, and stopped at 1500 us? Where it is 1000, offset = -20.0; if "
+                'these are rpm, write unit = "rpm" alone'
+            )
+    elif unit_of(name, ("radps",)):
+        put(columns, found, target, name, "radps")
     elif rpm or most > 150.0:
         if not rpm:
             found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")

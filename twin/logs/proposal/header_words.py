@@ -89,6 +89,7 @@ UNIT_WORDS = {
     "rad": r"rad|rads|radians",
     "kn": r"kn|kt|kts|knot|knots|knoten|nds|noeuds|nudos|nodi|knop",
     "kmph": r"kmh|kmph|kph",
+    "mph": r"mph",
     "mps": r"mps|ms1",
     "mps2": r"mps2|ms2|mpss",
     "degps": r"degps|dps|degs",

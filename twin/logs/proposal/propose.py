@@ -18,7 +18,7 @@ from twin.logs.agreement import (
 from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
-from twin.logs.columns import OTHER_UNITS, SINGLE, Array
+from twin.logs.columns import OTHER_UNITS, SINGLE, UNITS, Array
 from twin.logs.errors import LogError
 from twin.logs.log import read_table
 from twin.logs.proposal.commands import find_commands, find_pulses
@@ -206,7 +206,7 @@ def _velocity(
         return False
     radians = angle_unit(course, columns.numbers[course]) == "rad"
     angle = columns.numbers[course] * (1.0 if radians else math.pi / 180.0)
-    unit = unit_of(speed, ("kn", "kmph", "mps"))
+    unit = unit_of(speed, ("kn", "kmph", "mps", "mph", "ftps"))
     why = ""
     if t is not None and fix is not None:
         value = columns.numbers[speed]
@@ -227,8 +227,9 @@ def _velocity(
 
 def _speed_unit(ratio: float) -> str:
     """Return the unit of a speed that is so many times too small."""
-    units = {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6}
-    return next((unit for unit, scale in units.items() if abs(ratio / scale - 1.0) < 0.12), "")
+    off = {unit: abs(ratio / scale - 1.0) for unit, scale in UNITS["mps"].items()}
+    nearest = min(off, key=lambda unit: off[unit])
+    return nearest if off[nearest] < 0.12 else ""
 
 
 def _heading(
@@ -255,7 +256,9 @@ def _heading(
         best = max(goes, key=lambda way: goes[way])
         if goes[best] > goes[unit, scale] + 0.3:
             unit, scale = best
-            why = "as the track says" if unit == "deg" else "turns are counted on, as the track says"
+            why = (
+                "as the track says" if unit == "deg" else "turns are counted on, as the track says"
+            )
     more = f"scale = {scale:g}" * (scale < 1.0)
     values = scale * values * (degree if unit == "deg" else 1.0)
     heading = None if t is None else clean(t, values)
@@ -267,10 +270,8 @@ def _heading(
     elif east and heading is not None:
         more = f"{more}, " * bool(more) + 'frame = "enu"'
         why = "it counts from east, as the track says"
-        if "position" in found.lines:
-            found.questions.append(
-                f"{name}: counts from east, or latitude and longitude are swapped"
-            )
+        axes = "latitude and longitude" if "position" in found.lines else "north and east"
+        found.questions.append(f"{name}: counts from east, or {axes} are swapped")
         heading = heading[0], 0.5 * math.pi - heading[1]
     put(columns, found, "compass_rad", name, "deg" if unit == "deg" else "", more, why)
     return heading
@@ -366,9 +367,11 @@ def _plain(columns: Columns, found: Proposal) -> None:
         elif meaning.startswith("accel"):
             if vertical is None and not unit and not unit_of(name, ("mps2",)):
                 found.questions.append(f"{name}: g or m/s2? m/s2 is taken")
-            unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
+            unit = "g" if unit or 0.5 < abs(force) < 2.0 or 500.0 < abs(force) < 2e3 else ""
+            scale = 0.001 if abs(force) > 500.0 else 1.0  # thousandths
             if name == vertical and force > 0.0:
-                more, why = "scale = -1.0", "it points up"
+                scale, why = -scale, "it points up"
+            more = f"scale = {scale}" * (scale != 1.0)
         elif meaning in ("height", "climb"):
             more, why = "scale = -1.0", "down is above 0"
         put(columns, found, target, name, unit.removeprefix("mps"), more, why)

@@ -16,7 +16,15 @@ from twin.logs.errors import LogError
 from twin.logs.files import hemispheres, number_of, twice_said, units_line
 from twin.logs.marks import NO_PULSES, RARE, marks_of
 from twin.logs.parquet import column_file
-from twin.logs.proposal.header_words import NAMES, is_rpm, is_setpoint, is_steering, is_turn_rate, means, words_of
+from twin.logs.proposal.header_words import (
+    NAMES,
+    is_rpm,
+    is_setpoint,
+    is_steering,
+    is_turn_rate,
+    means,
+    words_of,
+)
 
 __all__ = [
     "Columns",
@@ -94,7 +102,11 @@ def _marks(name: str, values: Array) -> list[float]:
     seen = values[np.isfinite(values)]
     pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
     none = (seen < _PULSES_US[0]) | (seen > _PULSES_US[1])
-    if none.any() and not is_rpm(name) and (np.isin(seen[none], NO_PULSES).all() or none.mean() < RARE):
+    if (
+        none.any()
+        and not is_rpm(name)
+        and (np.isin(seen[none], NO_PULSES).all() or none.mean() < RARE)
+    ):
         return np.unique(seen[none]).tolist() if len(pulses) else []
     if is_steering(name):
         return [mark for mark in marks_of(values, math.inf) if abs(mark) > 90.0]
