@@ -295,7 +295,7 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     width = s.width(least_s, 6.0, name, GYROS[axis])
     turn = s[GYROS[axis]]
     if s.has(*ANGLES, *GYROS):
-        turn = angle_rate(axis, *s.stacked(*ANGLES), s.stacked(*GYROS))
+        turn = angle_rate(axis, s[ANGLES[0]], s[ANGLES[1]], s.stacked(*GYROS))
     angle, rate = s[name], _sum(turn, s.step)
     x = _changes(angle, width)
     # as long as noise is a part of it

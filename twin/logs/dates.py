@@ -97,9 +97,9 @@ def _ahead(zone: str, quarter: float, shown_name: str) -> float:
     text, name = ZONES.get(zone.upper(), zone), zone.upper()
     found = re.fullmatch(r"(?:UTC|GMT)?\s*([+-]?)(\d{1,2})(?::?([0-5]\d))?", text, re.IGNORECASE)
     if found is not None and int(found[2]) <= 14:
-        hours = int(found[2]) + int(found[3] or 0) / 60.0
+        size = int(found[2]) + int(found[3] or 0) / 60.0
         daylight = shown_name.endswith("DT") and shown_name not in ZONES
-        return 3600.0 * (float(f"{found[1]}1") * hours + daylight)
+        return 3600.0 * (float(f"{found[1]}1") * size + daylight)
     ahead, place = None, _place(zone)
     if place is not None:
         first = datetime(1970, 1, 1, tzinfo=place) + timedelta(seconds=quarter * _QUARTER_S)

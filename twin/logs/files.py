@@ -359,7 +359,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]
         )
     if len(header) == 1 and len(text.split()) > 3:
         raise LogError(
-            f"{path}: line {blank + 1}: spaces separate the cells; put commas or tabs in their place"
+            f"{path}: line {blank + 1}: spaces separate the cells; put commas in their place"
         )
     if 2 * sum(is_number(name) for name in header) > len(header):
         raise LogError(

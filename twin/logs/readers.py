@@ -217,8 +217,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
             if none.any():
                 numbers = ", ".join(f"{mark:g}" for mark in np.unique(raw[source][none]))
                 notes.append(
-                    f"{source}: {none.sum()} of {len(place)} pulses are {numbers} us wide, as where "
-                    f"there is no signal; taken as empty: empty = [{numbers}] in the mapping"
+                    f"{source}: {none.sum()} of {len(place)} pulses are {numbers} us wide, as "
+                    f"where there is no signal; taken as empty: empty = [{numbers}] in the mapping"
                 )
         made = entry.columns(values)
         if entry.plane is not None:

@@ -114,7 +114,9 @@ def test_a_turn_beside_a_throttle_is_a_command(
     rate = np.radians(columns["yaw_rate_dps"])
     throttle, turn = size * np.abs(np.sin(columns["time_s"] / 20.0)), size * np.tanh(3.0 * rate)
     kept = {name: columns[name] for name in ("time_s", "lat", "lon", "heading_deg")}
-    found = propose(write(tmp_path / "a.csv", kept | dict(zip(names, (throttle, turn)))))
+    found = propose(
+        write(tmp_path / "a.csv", kept | dict(zip(names, (throttle, turn), strict=True)))
+    )
     text = found.text("a.csv")
     assert "gyro_radps" not in text and f'n_rps = "{names[0]}"' in text
     assert re.search(rf'delta_rad = .*"{re.escape(names[1])}"', text)
@@ -444,7 +446,7 @@ def test_a_pulse_of_no_width_is_named_where_a_mapping_leaves_it_out(
 ) -> None:
     path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k == 300 else "1700")
     mapping = path.with_suffix(".mapping.toml")
-    said, log = proposed(path)
+    _, log = proposed(path)
     mapping.write_text(mapping.read_text().replace(f", empty = [{mark}]", ""))
     named = Log.read(path)
     assert any(f"pwm_left: 1 of 600 pulses are {mark} us" in note for note in named.notes)

@@ -147,8 +147,8 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
         put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
         if (values == 1500.0).mean() < 0.02:
             found.questions.append(
-                f"{name}: pulse widths, and stopped at 1500 us? Where it is 1000, offset = -20.0; if "
-                'these are rpm, write unit = "rpm" alone'
+                f"{name}: pulse widths, and stopped at 1500 us? Where it is 1000, offset = -20.0; "
+                'if these are rpm, write unit = "rpm" alone'
             )
     elif unit_of(name, ("radps",)):
         put(columns, found, target, name, "radps")

@@ -287,15 +287,17 @@ def _gyro(
     # without a unit, turn is what steers, where nothing else does
     there = [each for each in columns.left if each in columns.numbers]
     steered = sum(map(is_steering, there)) > 1 or sides_of([*filter(is_shaft, there)]) is not None
-    for each in there if t is not None and heading is not None else ():
+    for each in there:
         plain = is_steering(each) and not is_setpoint(each) and "turn" in words_of(each)
         named = means(each, NAMES["gyro"]) or is_turn_rate(each) or (plain and steered)
-        if not named:
+        if not named or t is None or heading is None:
             continue
         fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
-        sure = fit is not None and fit.coherence > 0.8
+        if fit is None:
+            continue
+        sure = fit.coherence > 0.8
         says = [u for u, size in scale.items() if sure and 0.7 < fit.ratio * size < 1.4]
-        if fit is None or (plain and not says) or (best and best.coherence >= fit.coherence):
+        if (plain and not says) or (best and best.coherence >= fit.coherence):
             continue
         best, name, unit, more = fit, each, "".join(says), ""
         why = "as the heading says" if says else ""
