@@ -271,8 +271,8 @@ def test_a_magnetic_heading_without_a_variation_is_said_to_wait_for_it(wire: Wir
 
 
 def test_a_place_comes_from_gns_whose_systems_have_a_fix(wire: Wire) -> None:
-    gns = "GNGNS,120000.00,5912.0000,N,01042.0000,E,{},12,0.8,3.0,40.0,,"
-    wire.tell(line(gns.format("NN")), line(gns.format("AN")))
+    gns = "GNGNS,{},5912.0000,N,01042.0000,E,{},12,0.8,3.0,40.0,,"
+    wire.tell(line(gns.format("120000.00", "NN")), line(gns.format("120001.00", "AN")))
     (row,) = (z for _, z, _ in wire.take(after=1.0) if np.isfinite(z[0]))
     assert row[:2] == pytest.approx([0.0, 0.0]) and wire.balance()["void"] == 1
 
