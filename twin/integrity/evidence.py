@@ -40,7 +40,7 @@ __all__ = [
     "Comparison",
     "Evidence",
     "Signals",
-    "angle_rates",
+    "angle_rate",
     "gain",
     "level_forces",
     "log_likelihood",
@@ -231,18 +231,21 @@ def gain(before: Comparison | None, after: Comparison | None) -> float:
 # --- the comparisons --------------------------------------------------------------------------
 
 
-def _mean(values: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
-    """Return means over so many steps around each; NaN where some are missing."""
+def _mean(
+    values: npt.NDArray[Any], count: int, at: slice | npt.NDArray[np.intp] = slice(None)
+) -> npt.NDArray[Any]:
+    """Return means over so many steps around each, or some; NaN where some are missing."""
     lost = np.isnan(values)
-    total = np.concatenate([[0.0], np.cumsum(np.where(lost, 0.0, values))])
-    half, found = count // 2, np.full(len(values), np.nan, dtype=total.dtype)
-    if count > len(values):
-        return found
-    means = (total[count:] - total[:-count]) / count
+    total = np.concatenate(
+        [[0.0], np.cumsum(np.where(lost, 0.0, values) if lost.any() else values)]
+    )
+    first = np.arange(len(values))[at] - count // 2
+    whole = (first >= 0) & (first + count <= len(values))
     if lost.any():
         missing = np.concatenate([[0], np.cumsum(lost)])
-        means[missing[count:] > missing[:-count]] = np.nan
-    found[half : half + len(means)] = means
+        whole[whole] = missing[first[whole] + count] == missing[first[whole]]
+    found = np.full(len(first), np.nan, dtype=total.dtype)
+    found[whole] = (total[first[whole] + count] - total[first[whole]]) / count
     return found
 
 
@@ -257,7 +260,7 @@ def _sum(values: npt.NDArray[Any], step: float) -> npt.NDArray[Any]:
 
 def _changes(values: npt.NDArray[Any], width: int, order: int = 1) -> npt.NDArray[Any]:
     """Return changes of means over half a width from each width to the next."""
-    means = _mean(values, max(width // 2, 1))[width // 2 :: width]
+    means = _mean(values, max(width // 2, 1), slice(width // 2, None, width))
     return np.diff(means, n=order)
 
 
@@ -272,11 +275,12 @@ def _tilt(s: Signals) -> tuple[Array, Array]:
     return total[0] - _mean(total[0], slow), total[1] - _mean(total[1], slow)
 
 
-def angle_rates(roll: Array, pitch: Array, gyros: Array) -> tuple[Array, Array, Array]:
-    """Return the rates of roll, pitch and heading that gyros (3, N) measure."""
+def angle_rate(axis: int, roll: Array, pitch: Array, gyros: Array) -> Array:
+    """Return the rate of roll, pitch or heading (axis 0, 1 or 2) that gyros (3, N) measure."""
+    if axis == 1:
+        return np.asarray(gyros[1] * np.cos(roll) - gyros[2] * np.sin(roll))
     turn = gyros[1] * np.sin(roll) + gyros[2] * np.cos(roll)
-    pitching = gyros[1] * np.cos(roll) - gyros[2] * np.sin(roll)
-    return gyros[0] + np.tan(pitch) * turn, pitching, turn / np.cos(pitch)
+    return np.asarray(gyros[0] + np.tan(pitch) * turn if axis == 0 else turn / np.cos(pitch))
 
 
 def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array]:
@@ -289,15 +293,16 @@ def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array
 def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     """Changes of an angle, and of the integrated gyro less its bias."""
     width = s.width(least_s, 6.0, name, GYROS[axis])
-    gyros = s.stacked(*GYROS)
+    turn = s[GYROS[axis]]
     if s.has(*ANGLES, *GYROS):
-        gyros = np.array(angle_rates(s[ANGLES[0]], s[ANGLES[1]], gyros))
-    angle, rate = s[name], _sum(gyros[axis], s.step)
-    x, y = _changes(angle, width), _changes(rate, width)
+        turn = angle_rate(axis, s[ANGLES[0]], s[ANGLES[1]], s.stacked(*GYROS))
+    angle, rate = s[name], _sum(turn, s.step)
+    x = _changes(angle, width)
     # as long as noise is a part of it
     while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
         width *= 2
-        x, y = _changes(angle, width), _changes(rate, width)
+        x = _changes(angle, width)
+    y = _changes(rate, width)
     bound = GYRO_ZERO_RADPS * width * s.step
     bias = float(np.nan_to_num(np.nanmedian(y - x))) if np.isfinite(y - x).any() else 0.0
     return x, y - bound * math.tanh(bias / bound)
@@ -357,7 +362,7 @@ def _weighed(s: Signals) -> Pair:
     )
     width = s.width(SLOW_S, 0.0, *FORCES)
     x, y = (
-        np.concatenate([_mean(column, width)[width // 2 :: width] for column in each])
+        np.concatenate([_mean(column, width, slice(width // 2, None, width)) for column in each])
         for each in (s.stacked(*FORCES), expected)
     )
     return x, y
@@ -370,9 +375,9 @@ def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
     Velocities are means over a width of steps, in the middles of such widths.
     """
     rows = np.arange(width, len(s.t), width)[: len(velocity)]
-    v, heading = velocity[: len(rows)], _mean(s["compass_rad"], width)[rows]
+    v, heading = velocity[: len(rows)], _mean(s["compass_rad"], width, rows)
     # both sides: a propeller that runs backwards gives less thrust
-    thrust = _mean(s.stacked(*COMMANDS[:2]).max(axis=0), width)[rows]
+    thrust = _mean(s.stacked(*COMMANDS[:2]).max(axis=0), width, rows)
     turned = np.gradient(heading) if len(rows) > 1 else heading
     # the way of a boat that turns on the spot tells no direction
     ok = np.isfinite(v) & (np.abs(turned) < ARC_RAD)
@@ -406,7 +411,7 @@ def _track(s: Signals) -> Pair:
 def _course(s: Signals) -> Pair:
     """Velocity over ground, and that along the heading."""
     width = s.width(2.0, 2.0, *VELOCITY)
-    return _along(s, _mean(s.level(VELOCITY), width)[width::width], width)
+    return _along(s, _mean(s.level(VELOCITY), width, slice(width, None, width)), width)
 
 
 def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[float, Pair]:
@@ -446,7 +451,7 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     # mean rates around the two ends; the commands act in between
     before = heading[rows + half] - heading[rows - half]
     after = heading[rows + 3 * half] - heading[rows + half]
-    return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
+    return after - before, [before], [_mean(each, 2 * half, rows + half) for each in acts]
 
 
 def _yawed(s: Signals) -> Pair:
@@ -460,11 +465,11 @@ def _surged(s: Signals) -> Pair:
     width = s.width(s.way_s, 2.0, *FIX)
     way = _changes(s.level(FIX), width) / (width * s.step)
     rows = np.arange(width, len(s.t), width)[: len(way)]
-    heading = _mean(s["compass_rad"], width)[rows]
+    heading = _mean(s["compass_rad"], width, rows)
     ahead, turned = (way[: len(rows)] * np.exp(-1j * heading)).real, np.diff(heading)
     shafts = s.stacked(*COMMANDS[:2])
-    force = _mean((shafts * np.abs(shafts)).sum(axis=0), width)
-    between = force[np.minimum(rows + width // 2, len(s.t) - 1)][:-1]
+    middles = np.minimum(rows + width // 2, len(s.t) - 1)[:-1]
+    between = _mean((shafts * np.abs(shafts)).sum(axis=0), width, middles)
     now = np.where(np.abs(turned) < ARC_RAD, ahead[:-1], math.nan)
     return _explained(np.diff(ahead), [now, now * np.abs(now), turned**2], [between])[1]
 

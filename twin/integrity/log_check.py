@@ -23,7 +23,7 @@ from twin.integrity.evidence import (
     RAW_HEADING,
     Evidence,
     Signals,
-    angle_rates,
+    angle_rate,
     level_forces,
     log_likelihood,
     signals_of,
@@ -323,7 +323,7 @@ def _mended(recording: Recording, undone: list[Trial]) -> Recording:
         forces = rows.stacked(*FORCES)
         forces[2, np.isnan(forces[2])] = -GRAVITY
         known = np.isfinite(rows[GYROS[2]])
-        turning = np.where(known, angle_rates(roll, pitch, gyros)[2], math.nan)
+        turning = np.where(known, angle_rate(2, roll, pitch, gyros), math.nan)
         rows = rows.having(GYROS[2:], turning[None])
         rows = rows.having(FORCES[:2], np.array(level_forces(roll, pitch, forces)))
     z, cmd = rows.stacked(*MEASUREMENTS).T, rows.stacked(*COMMANDS).T

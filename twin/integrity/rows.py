@@ -14,6 +14,7 @@ from twin.logs.checks import is_gap
 from twin.logs.clock import (
     GAP_STEPS,
     HOUR_S,
+    hours_of,
     order_remedy,
     set_back,
     spread,
@@ -23,6 +24,7 @@ from twin.logs.clock import (
 from twin.logs.columns import SHARE, UNITS
 from twin.logs.datum import FEW
 from twin.logs.jumps import FAST_MPS, find_jumps
+from twin.logs.marks import HEADINGS, marks_of
 from twin.logs.recording import Recording, repeated
 from twin.logs.signals import ENOUGH, averaged, interpolation_residual, robust_sd, ways
 from twin.particulars import Particulars
@@ -134,11 +136,16 @@ def check_time(recording: Recording) -> list[Finding]:
         row = int(np.argmax(step))
         span = {"start": float(t[row]), "end": float(t[row + 1])}
         remedy = "the twin forecasts across them; check what stopped the logger"
+        hours = hours_of(float(step[row]) - median, median)
         if stood_in_gap(*recording.samples(*FIX), *span.values()):
             remedy += ", or the clock was set forward: the boat did not move meanwhile"
+        elif hours:
+            remedy += ", or whether the clock was set forward"
         what = (
             f"{gap.sum()} gap(s) in time above {GAP_STEPS:.0f} x the median step, the longest "
             f"{step[row]:.1f} s at t = {t[row]:.1f} s"
+            + f": {hours / HOUR_S:g} h, as local time is; the clock is not UTC"
+            * (hours > 0.0)
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
     jitter, whose = _uneven(step[~gap]), _uneven_sensors(recording)
@@ -147,6 +154,10 @@ def check_time(recording: Recording) -> list[Finding]:
         remedy = "stamp samples when they are taken, not when they are written"
         found.append(Finding(WARNING, "jitter", what, remedy, "time", jitter))
     along, across, speed = fix_scatter(*recording.samples(*FIX))
+    if speed > FAST_MPS:
+        what = f"the fixes go at {speed:.3g} m/s: rows are {median:.3g} s apart"
+        remedy = 'if the time counts minutes or so, unit = "min" for t_s in a mapping file'
+        found.append(Finding(ERROR, "unit", what, remedy, "time", speed))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
     if along > 2.0 * across and late > STAMPS_S:
         what = (
@@ -321,7 +332,10 @@ def _silent(
     t, values = recording.t[given], z[given]
     if len(t) < ENOUGH or is_dead(values[:, 0]):
         return []
-    size = np.sqrt((np.diff(values, axis=0) ** 2).sum(axis=1))
+    step = np.diff(values, axis=0)
+    if names[0] in HEADINGS:  # past a whole turn is no step
+        step = np.remainder(step + math.pi, 2.0 * math.pi) - math.pi
+    size = np.sqrt((step**2).sum(axis=1))
     new = np.append(0, np.flatnonzero(size > 0.0) + 1)
     edges = np.concatenate(([recording.t[0]], t[new], [recording.t[-1]]))
     # gaps that the clock skipped are reported for the clock
@@ -426,15 +440,22 @@ def without_marks(
         if len(distinct) < ENOUGH:
             continue
         usual, unit = float(np.quantile(distinct, 1.0 - FEW)), names[0].rpartition("_")[2]
-        rows = np.flatnonzero(size > max(ABSURD * usual, least.get(unit, FAR)))
+        absurd = size > max(ABSURD * usual, least.get(unit, FAR))
+        if sensor in HEADINGS:
+            absurd |= np.isin(values, marks_of(values, 2.0 * math.pi))
+        elif sensor in COMMANDS:
+            often = np.isin(values, marks_of(values, math.inf))
+            absurd |= often & (size > (least["rad"] if unit == "rad" else ABSURD * usual))
+        rows = np.flatnonzero(absurd)
         if not len(rows):
             continue
         recording = recording.without(names, rows)
         count, row = int(np.isfinite(values).sum()), rows[np.argmax(size[rows])]
-        knots = f" ({values[row] / UNITS['mps']['kn']:.5g} kn)" if unit == "mps" else ""
+        other = {"mps": "kn", "rad": "deg"}.get(unit, unit)
+        shown = f" ({values[row] / UNITS[unit][other]:.5g} {other})" if other != unit else ""
         what = (
             f"{recording.called(*names)}: {len(rows)} of {count} samples are absurd, up to "
-            f"{values[row]:.5g}{knots} at t = {recording.t[row]:.1f} s: glitches, or marks for "
+            f"{values[row]:.5g}{shown} at t = {recording.t[row]:.1f} s: glitches, or marks for "
             '"no value"'
         )
         remedy = "leave these cells empty; here they are left out, and the rest is checked"

@@ -341,8 +341,9 @@ def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
-    """Return the score of a hypothesis that explains all that it touches."""
-    touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
+    """Return the score of a hypothesis with a number that explains all that it touches."""
+    known = [one for name, one in base.items() if one and name not in BY_COMMANDS]
+    touched = [one for one in known if not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
     return most - each.cost - COST
 
@@ -407,7 +408,8 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
         ]
         if not likely:
             return found, s, undone
-        best = max(likely, key=lambda trial: trial.score)
+        # what a guess takes from other columns agrees with them in any case
+        best = max(likely, key=lambda trial: (not trial.hypothesis.guess, trial.score))
         near = [t for t in likely if t.score > best.score - COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(best)

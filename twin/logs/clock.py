@@ -14,6 +14,7 @@ __all__ = [
     "GAP_STEPS",
     "HOUR_S",
     "MONTH_S",
+    "hours_of",
     "order_remedy",
     "run_on",
     "set_back",
@@ -109,6 +110,12 @@ def spread(stamps: Array) -> Array | None:
     return np.asarray(stamps + unit * place / size[group])
 
 
+def hours_of(seconds: float, typical: float) -> float:
+    """Return the whole hours, s, by which a clock was set; 0 where it is no such step."""
+    hours = HOUR_S * round(abs(seconds) / HOUR_S)
+    return hours if abs(abs(seconds) - hours) < GAP_STEPS * typical else 0.0
+
+
 def set_back(stamps: Array, motion: Array | None = None) -> list[tuple[int, float]]:
     """Return where a clock was set back, as rows and seconds; none where rows are out of order.
 
@@ -132,16 +139,15 @@ def set_back(stamps: Array, motion: Array | None = None) -> list[tuple[int, floa
     found = []
     for begin, k, end in zip(edges[:-2], back, edges[2:], strict=True):
         overlap = float(t[k] - t[k + 1])
-        hours = HOUR_S * round((typical + overlap) / HOUR_S)
-        is_hours = hours > 0.0 and abs(typical + overlap - hours) < GAP_STEPS * typical
+        hours = hours_of(typical + overlap, typical)
         rows_in = np.sum(t[begin : k + 1] >= t[k + 1]) + np.sum(t[k + 1 : end] <= t[k])
         again = overlap > _SHORT * (t[k] - t[begin])
         far = overlap > GAP_STEPS * typical
         goes_on = far and motion is not None and _goes_on(motion, rows, int(k))
         # rows that are only shuffled stand as close there as anywhere
-        if not (is_hours or goes_on) and (again or rows_in < _DENSE * (overlap / typical + 1.0)):
+        if not (hours or goes_on) and (again or rows_in < _DENSE * (overlap / typical + 1.0)):
             return []
-        found.append((int(rows[k + 1]), hours if is_hours else typical + overlap))
+        found.append((int(rows[k + 1]), hours or typical + overlap))
     return found
 
 

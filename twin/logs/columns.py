@@ -25,7 +25,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-", "--", "---")
+EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "NULL", "None", "-", "--", "---")
 """Cells that hold no value."""
 
 REQUIRED = (TIME, *COMMANDS, "gps_x_m", "gps_y_m", "compass_rad")
@@ -41,7 +41,7 @@ _DEGREE = math.pi / 180.0
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86400.0},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048},
-    "mps": {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6, "ftps": 0.3048},
+    "mps": {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6, "ftps": 0.3048, "mph": 0.44704},
     "mps2": {"mps2": 1.0, "g": 9.80665},
     "rad": {"rad": 1.0, "deg": _DEGREE},
     "radps": {"radps": 1.0, "degps": _DEGREE, "degpmin": _DEGREE / 60.0},
@@ -74,6 +74,7 @@ class Entry:
     format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
     date: str = ""  # column of the date, where the source is a time of day
     zone: str = ""  # of its clock, if it is not UTC
+    pulses: tuple[str, ...] = ()  # sources that are pulse widths, some of which may be none
     # takes what convert takes, returns the plane on which it puts positions, if any
     plane: Callable[[Sequence[Array]], Plane | None] | None = None
 

@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from twin.logs.columns import EMPTY, Array, Entry
 from twin.logs.errors import LogError
+from twin.logs.signals import runs_of
 
 __all__ = [
     "MEANINGS",
@@ -28,12 +29,14 @@ __all__ = [
     "ahead_of_utc",
     "date_formats",
     "dates",
+    "in_utc",
     "is_day",
     "is_time_of_day",
     "joined",
     "lack_zeros",
     "padded",
     "past_midnight",
+    "second_hours",
     "with_zeros",
 ]
 
@@ -66,7 +69,7 @@ _QUARTER_S = 900.0
 """Zones change on whole quarters of an hour, s."""
 
 
-def ahead_of_utc(zone: str, shown: float = 0.0) -> float:
+def ahead_of_utc(zone: str, shown: float = 0.0, name: str = "") -> float:
     """Return by how much a clock is ahead of UTC when it shows so many seconds since 1970, s.
 
     Parameters
@@ -76,26 +79,32 @@ def ahead_of_utc(zone: str, shown: float = 0.0) -> float:
         ``CEST``; or one of the IANA data base, as ``Europe/Berlin``. Empty: UTC.
     shown : float
         What it shows, s; for zones of a place.
+    name : str
+        What it calls its zone, which of a place is that of standard or of daylight time. Hours and
+        minutes are those of standard time, and daylight time is an hour ahead of them.
 
     Raises
     ------
     LogError
         Where it is no zone, or the name of several.
     """
-    return _ahead(zone, shown // _QUARTER_S) if zone and shown == shown else 0.0
+    zone = ZONES.get(name, zone)
+    return _ahead(zone, shown // _QUARTER_S, name) if zone and shown == shown else 0.0
 
 
 @functools.lru_cache(maxsize=1024)
-def _ahead(zone: str, quarter: float) -> float:
+def _ahead(zone: str, quarter: float, shown_name: str) -> float:
     text, name = ZONES.get(zone.upper(), zone), zone.upper()
     found = re.fullmatch(r"(?:UTC|GMT)?\s*([+-]?)(\d{1,2})(?::?([0-5]\d))?", text, re.IGNORECASE)
     if found is not None and int(found[2]) <= 14:
-        return float(f"{found[1]}1") * (3600.0 * int(found[2]) + 60.0 * int(found[3] or 0))
-    ahead = None
-    if name not in MEANINGS:
-        with suppress(ValueError, LookupError, OSError):  # a path, no such name, a folder
-            begin = datetime(1970, 1, 1, tzinfo=ZoneInfo(zone))
-            ahead = (begin + timedelta(seconds=quarter * _QUARTER_S)).utcoffset()
+        size = int(found[2]) + int(found[3] or 0) / 60.0
+        daylight = shown_name.endswith("DT") and shown_name not in ZONES
+        return 3600.0 * (float(f"{found[1]}1") * size + daylight)
+    ahead, place = None, _place(zone)
+    if place is not None:
+        first = datetime(1970, 1, 1, tzinfo=place) + timedelta(seconds=quarter * _QUARTER_S)
+        both = [first, first.replace(fold=1)]
+        ahead = next((at for at in both if at.tzname() == shown_name), first).utcoffset()
     if ahead is None:
         hours = " or ".join(MEANINGS.get(name, ("-05:00", "+09:30")))
         raise LogError(
@@ -105,6 +114,52 @@ def _ahead(zone: str, quarter: float) -> float:
     return ahead.total_seconds()
 
 
+def _place(zone: str) -> ZoneInfo | None:
+    """Return a zone of the IANA data base."""
+    if zone and zone.upper() not in {**MEANINGS, **ZONES}:
+        with suppress(ValueError, LookupError, OSError):  # a path, no such name, a folder
+            return ZoneInfo(zone)
+    return None
+
+
+def in_utc(shown: Array, texts: Sequence[str], form: str, zone: str) -> Array:
+    """Return times since 1970, s, of a zone's clock that shows texts (N,) of a format."""
+    if not zone:
+        return shown
+    names = [""] * len(texts)
+    if "%Z" in form or _place(zone):
+        names = [re.sub(r".*?([A-Z]*)\W*$", r"\1", text) for text in texts]
+    ahead = [ahead_of_utc(zone, *each) for each in zip(shown.tolist(), names, strict=True)]
+    return np.asarray(shown - np.array(ahead))
+
+
+def second_hours(stamps: Array, zone: str) -> Array:
+    """Return what to add to times (N,), s, of a place's clock that was set back.
+
+    In autumn an hour comes twice, and is taken for the first one in the times since 1970. It is the
+    second one behind a step back, and where the clock goes on behind it as if no hour lay between.
+    """
+    more, place = np.zeros(len(stamps)), _place(zone)
+    if place is None:
+        return more
+    known = np.nan_to_num(stamps).clip(0.0, 2e11)  # dates end with the year 9999
+    quarters, of = np.unique(known // _QUARTER_S, return_inverse=True)
+    begin = datetime(1970, 1, 1, tzinfo=UTC)
+    hours = []
+    for quarter in quarters.tolist():
+        at = (begin + timedelta(seconds=quarter * _QUARTER_S)).astimezone(place)
+        later = (at.utcoffset() or timedelta()) - (at.replace(fold=1).utcoffset() or timedelta())
+        hours.append(0.0 if at.fold else max(later.total_seconds(), 0.0))
+    twice, step = np.array(hours)[of], np.diff(stamps)
+    for first, end in runs_of(twice > 0.0):
+        hour = float(twice[first])
+        back = np.flatnonzero(step[first : end - 1] < -0.5 * hour)
+        goes_on = end < len(stamps) and 0.0 < step[end - 1] - hour < 0.5 * hour
+        if len(back) or goes_on:
+            more[first + int(np.append(back + 1, 0)[0]) : end] = hour
+    return more
+
+
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"
     r"(?:\s*(?P<half>[AaPp]\.?[Mm]\.?))?(?P<gap>\s*)"
@@ -112,7 +167,7 @@ _CLOCK = re.compile(
     r"[A-Z][a-z]+/[A-Za-z_/]+)?$"
 )
 
-_COMPACT = re.compile(r"^(\d{8}|\d{6})([ T]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
+_COMPACT = re.compile(r"^(\d{8}|\d{6})([ T_-]?)(\d{6})(\.\d+)?(Z|[+-]\d{2}:?\d{2})?$")
 
 _NUMBERS = re.compile(r"^(\d{1,2})([/.\-])(\d{1,2})\2(\d{4}|\d{2})$")
 
@@ -171,7 +226,7 @@ class Clock(NamedTuple):
             first = next((text for text in whole if text.strip() not in EMPTY), "")
             forms = [each.format for each in _candidates(first) if each.order and not each.zone]
             form = forms[0] if forms and "%Y" in forms[0] and "%I" not in forms[0] else ""
-        seconds = [each - ahead_of_utc(self.zone, each) for each in dates(whole, form).tolist()]
+        seconds = in_utc(dates(whole, form), whole, form, self.zone).tolist()
         return [
             math.nan if cell in EMPTY else None if math.isnan(second) else second
             for cell, second in zip(cells, seconds, strict=True)
@@ -211,7 +266,7 @@ def with_zeros(cells: Sequence[str]) -> list[str]:
 def lack_zeros(stamps: Array, padded: Array) -> bool:
     """Return whether times go back, but with zeros in front of their fractions always advance."""
     one, other = (np.diff(each[np.isfinite(each)]) for each in (stamps, padded))
-    return bool((one < 0.0).any() and (other > 0.0).all())
+    return bool(len(one) == len(other) and (one < 0.0).any() and (other > 0.0).all())
 
 
 def _undated(form: str) -> bool:
@@ -388,10 +443,13 @@ def date_formats(texts: Sequence[str]) -> list[DateFormat]:
         return [DateFormat("")]
     forms = _candidates(cells[0])
     found = [each for each in forms if _fits(cells, each.format)]
-    if not found:  # at the change of clocks the name of the zone changes
-        name = re.compile(r"(?<=[\s(])[A-Z]{2,5}(?=\)?$)")
-        forms = [DateFormat(name.sub("%#z", each.format), each.order) for each in forms]
-        found = [each for each in forms if _fits(cells, each.format)]
+    name = re.compile(r"(?<=[\s(])[A-Z]{2,5}(?=\)?$)")
+    for sign in ("%#z", "%Z"):  # at the change of clocks the name of the zone changes
+        if not found:
+            names = {each[0] for cell in cells if (each := name.search(cell))} - {*ZONES}
+            zone = max(names, default="")  # of EDT and EST the standard one
+            given = [DateFormat(name.sub(sign, f.format), f.order, zone) for f in forms]
+            found = [each for each in given if _fits(cells, each.format)]
     if len(found) == 2:
         # of two, the one in which the log would jump by a month is wrong
         spans = [_span(cells, each.format) for each in found]

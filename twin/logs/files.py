@@ -179,7 +179,8 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 class CsvFile:
     """A CSV file, plain or gzipped; LogError where it is none with a header.
 
-    Cells are separated by commas; or by semicolons or tabs, where a comma may be the decimal mark.
+    Cells are separated by commas; or by semicolons, tabs or bars, where a comma may be the decimal
+    mark.
     """
 
     unit = "line"  # what messages call a row
@@ -344,7 +345,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]
     mark = ","
     try:
         header = next(csv.reader([text]))
-        for other in ";\t":
+        for other in ";\t|":
             if len(header) < 3 and text.count(other) > 2:
                 mark, header = other, next(csv.reader([text], delimiter=other))
     except csv.Error as error:
@@ -355,6 +356,10 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, str, tuple[str, ...]]
         raise LogError(
             f"{path}: {where} like comments above the header; remove them, so that the file "
             "begins with the names of the columns"
+        )
+    if len(header) == 1 and len(text.split()) > 3:
+        raise LogError(
+            f"{path}: line {blank + 1}: spaces separate the cells; put commas in their place"
         )
     if 2 * sum(is_number(name) for name in header) > len(header):
         raise LogError(
@@ -372,9 +377,9 @@ def _lines_above(text: str, header: Sequence[str], file: BinaryIO) -> int:
         line = file.readline(1 << 20)
         if not line:
             return 0
-        cells = max(line.count(mark) for mark in (b",", b";", b"\t")) + 1
+        cells = max(line.count(mark) for mark in (b",", b";", b"\t", b"|")) + 1
         start = line.decode("utf-8", "replace")
-        remark, first = start.startswith(_REMARKS), re.split(r"[,;\t]", start, maxsplit=1)[0]
+        remark, first = start.startswith(_REMARKS), re.split(r"[,;\t|]", start, maxsplit=1)[0]
         if cells > max(len(header), 2) and not remark:
             return above if len(header) == 1 or not is_number(first) else 0
     return 0

@@ -18,6 +18,7 @@ _MAGIC = {
     b"ULog": "a log of PX4; make CSV of its topics: ulog2csv FILE, and join them by their time",
     b"\xa3\x95": "a DataFlash log of ArduPilot; give it the ending .bin",
     b"PK\3\4": "a spreadsheet or another packed file; save it as CSV in UTF-8",
+    **dict.fromkeys((b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf"), "a packed file; unpack it, or use gzip"),
     b"\x89HDF": "an HDF5 or MATLAB file; write its columns as CSV",
     b"\x93NUMPY": "a NumPy array; write its columns as CSV, with numpy.savetxt",
     b"ARROW1": "an Arrow or Feather file; write it as Parquet, with pyarrow",

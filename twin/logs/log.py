@@ -45,6 +45,7 @@ from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile, shorten, twice_said
 from twin.logs.mapping import Layout, layout_of, mapping_path
+from twin.logs.marks import HEADINGS, marks_of
 from twin.logs.parquet import ParquetFile, column_file, need_polars, write_parquet
 from twin.logs.readers import UNIX, Table, date_of, gathered, name_of
 from twin.logs.recording import equal_times
@@ -313,7 +314,7 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
     if is_nmea_log(path):
         table = read_nmea_log(path, layout)
         constants = (
-            "positions come of GGA, RMC, GLL, headings of HDT, HDG, HDM, THS, VHW, PASHR; of "
+            "positions come of GGA, RMC, GNS, GLL, headings of HDT, HDG, HDM, THS, VHW, PASHR; of "
             "commands give constants, such as n_rps = 0.0, in "
             f"{sibling_path(path, '.mapping.toml')}"
         )
@@ -482,6 +483,14 @@ def assemble(table: Table) -> Log:
     for j, name in enumerate(MEASUREMENTS):
         if name in names:
             z[:, j] = column(name)
+            if name in HEADINGS and (marks := marks_of(z[:, j], 2.0 * math.pi)):
+                none = np.isin(z[:, j], marks)
+                z[none, j] = np.nan
+                numbers = ", ".join(f"{mark:g}" for mark in np.degrees(marks))
+                notes.append(
+                    f"{table.given[name]}: {none.sum()} of {rows} values are marks for none "
+                    f"({numbers} degrees), taken as empty"
+                )
             check_measurement(t, z[:, j], name, table)
     drop_repeats(t, z, table)
     with np.errstate(

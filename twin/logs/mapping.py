@@ -81,6 +81,7 @@ from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry
 from twin.logs.dates import ahead_of_utc
 from twin.logs.datum import FIXES, Datum, Plane, from_minutes, in_minutes
 from twin.logs.errors import LogError
+from twin.logs.marks import NO_PULSES
 from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 
@@ -337,7 +338,13 @@ class _Parser:
             form,
             date,
             zone,
+            (source,) if self.pulses(name, factor, offset, table) else (),
         )
+
+    def pulses(self, where: str, factor: float, offset: float, table: Mapping[str, Any]) -> bool:
+        """Return whether a command comes as pulse widths, us, and no marks are stated for it."""
+        command = where in COMMANDS or where in SINGLE or where.startswith("[skid")
+        return command and "empty" not in table and 1e3 <= -offset / (factor or 1.0) <= 2e3
 
     def marks(self, where: str, table: Mapping[str, Any]) -> list[float]:
         """Return the numbers that are no values."""
@@ -351,6 +358,8 @@ class _Parser:
     ) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
         """Return the conversion of one source to so many columns; None where none is needed."""
         marks = self.marks(where, table)
+        if self.pulses(where, factor, offset, table):
+            marks = [*NO_PULSES]
         if factor == 1.0 and offset == 0.0 and not marks:
             return None
         command = where in COMMANDS or where in SINGLE or where.startswith("[skid")
@@ -429,7 +438,8 @@ class _Parser:
         return value
 
     def velocity(self, given: Any) -> Entry:
-        topic, sources, values_of = self.two("[velocity]", given, {"speed": "mps", "course": "rad"})
+        units = {"speed": "mps", "course": "rad"}
+        topic, sources, values_of, _ = self.two("[velocity]", given, units)
 
         def convert(values: Sequence[Array]) -> list[Array]:
             speed, course = values_of(values)
@@ -440,19 +450,19 @@ class _Parser:
 
     def skid_steering(self, given: Any) -> Entry:
         units = {"throttle": "rps", "steering": "rps"}
-        topic, sources, values_of = self.two("[skid_steering]", given, units)
+        topic, sources, values_of, pulses = self.two("[skid_steering]", given, units)
 
         def convert(values: Sequence[Array]) -> list[Array]:
             ahead, turn = values_of(values)
             return [ahead + turn, ahead - turn, 0.0 * ahead, 0.0 * ahead]
 
         note = f"n_left_rps, n_right_rps: {sources[0]} plus and minus {sources[1]}"
-        return Entry(COMMANDS, sources, convert, topic, note)
+        return Entry(COMMANDS, sources, convert, topic, note, pulses=pulses)
 
     def two(
         self, where: str, given: Any, units: Mapping[str, str]
-    ) -> tuple[str, tuple[str, str], Callable[[Sequence[Array]], list[Array]]]:
-        """Return topic and sources of a table of two keys, and what gives the values of both."""
+    ) -> tuple[str, tuple[str, str], Callable[[Sequence[Array]], list[Array]], tuple[str, ...]]:
+        """Return topic and sources of a table of two keys, what gives both, which are pulses."""
         table = self.known(where, given, tuple(units))
         names = [f"{where} {key}" for key in units]
         one, other = (
@@ -461,15 +471,14 @@ class _Parser:
         )
         if one[0] != other[0]:
             raise self.fail(where, f"{' and '.join(units)} must come from the same topic")
-        made = [
-            self.linear(name, 1, *part[2:]) or list
-            for name, part in zip(names, (one, other), strict=True)
-        ]
+        parts = list(zip(names, (one, other), strict=True))
+        made = [self.linear(name, 1, *part[2:]) or list for name, part in parts]
+        pulses = tuple(part[1] for name, part in parts if self.pulses(name, *part[2:]))
 
         def convert(values: Sequence[Array]) -> list[Array]:
             return [make([value])[0] for make, value in zip(made, values, strict=True)]
 
-        return one[0], (one[1], other[1]), convert
+        return one[0], (one[1], other[1]), convert, pulses
 
     def quaternion(
         self, where: str, given: Any, *more: str

@@ -18,11 +18,12 @@ import numpy.typing as npt
 from twin.channels import TIME
 from twin.logs.clock import wild_stamps
 from twin.logs.columns import Array, Entry, notes_of
-from twin.logs.dates import Clock, Midnight, lack_zeros, past_midnight
+from twin.logs.dates import Clock, Midnight, lack_zeros, past_midnight, second_hours
 from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile
 from twin.logs.mapping import Layout
+from twin.logs.marks import NO_PULSES
 from twin.logs.parquet import ParquetFile
 
 __all__ = [
@@ -174,23 +175,26 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     parts.clear()
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
+    if epoch == epoch:  # the first row may come before the clock was set
+        clocked = raw[timed.sources[0]]
+        known = np.flatnonzero(np.isfinite(clocked) & ~wild_stamps(clocked))
+        begin = float(clocked[known[0]]) if len(known) else 0.0
+        later = second_hours(epoch + clocked, clock.zone)
+        begin += float(later[known[0]]) if len(known) else 0.0
+        epoch, raw[timed.sources[0]] = epoch + begin, clocked + later - begin
     clocked = _only(timed, raw)
-    if isinstance(file, CsvFile) and not file.zeros and (np.diff(clocked) < 0.0).any():
+    back = np.diff(clocked[~wild_stamps(clocked)]) < 0.0
+    if isinstance(file, CsvFile) and not file.zeros and back.any():
         file.zeros = timed.sources[0]
         again = gathered(file, entries, layout)
         if lack_zeros(clocked, again.data[TIME]):
             again.notes.append(
-                f"t_s: time goes back {(np.diff(clocked) < 0.0).sum()} times unless the fractions "
+                f"t_s: time goes back {back.sum()} times unless the fractions "
                 f"of {file.zeros} lack zeros in front (.5 for .005); read so"
             )
             return again
         file.zeros = ""
     place = raw.pop(_PLACE)
-    if epoch == epoch:  # the first row may come before the clock was set
-        clocked = raw[timed.sources[0]]
-        known = np.flatnonzero(np.isfinite(clocked) & ~wild_stamps(clocked))
-        begin = float(clocked[known[0]]) if len(known) else 0.0
-        epoch, raw[timed.sources[0]] = epoch + begin, clocked - begin
     notes = [f"{void} row(s) without a single value left out"] if void else []
     if isinstance(file, CsvFile) and file.torn:
         notes.append("the last line is cut off, and left out")
@@ -208,14 +212,24 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     plane = None
     for entry in entries:
         values = [raw[source] for source in entry.sources]
-        if entry.plane is not None:
-            plane = entry.plane(values)
-            if none := int(((values[0] == 0.0) & (values[1] == 0.0)).sum()):
+        for source in entry.pulses:
+            none = np.isin(raw[source], NO_PULSES)
+            if none.any():
+                numbers = ", ".join(f"{mark:g}" for mark in np.unique(raw[source][none]))
                 notes.append(
-                    f"{' and '.join(entry.sources)}: {none} of {len(place)} positions are (0, 0), "
-                    "as of a receiver without a fix, taken as empty"
+                    f"{source}: {none.sum()} of {len(place)} pulses are {numbers} us wide, as "
+                    f"where there is no signal; taken as empty: empty = [{numbers}] in the mapping"
                 )
         made = entry.columns(values)
+        if entry.plane is not None:
+            plane = entry.plane(values)
+            none = np.isnan(made["gps_x_m"]) & np.isfinite(values[0] + values[1])
+            if none.any():
+                one, other = values[0][none][0], values[1][none][0]
+                notes.append(
+                    f"{' and '.join(entry.sources)}: {none.sum()} of {len(place)} positions are "
+                    f"({one:g}, {other:g}), as of a receiver without a fix, taken as empty"
+                )
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
     notes += notes_of(entries)

@@ -122,6 +122,37 @@ def test_an_absurd_velocity_is_named_and_no_other_fault(knots: float, rows: int,
     assert check.agreed == pytest.approx(check_recording(recording(log), boat).agreed, abs=0.02)
 
 
+def test_a_velocity_backwards_has_a_wrong_sign_and_no_other_unit() -> None:
+    def backwards(data: dict[str, np.ndarray]) -> None:
+        for name in VELOCITY:
+            data[name] = -data[name]
+
+    log, boat = sound(*RUNS["otter"])
+    check = check_recording(recording(log, backwards), boat)
+    assert serious(check) == {"sign:velocity"}
+
+
+def test_a_time_in_minutes_is_named_by_the_speed_of_the_fixes() -> None:
+    log, boat = sound(*RUNS["otter"])
+    minutes = dataclasses.replace(recording(log), t=log.t / 60.0, stamps=log.t / 60.0)
+    assert 'unit = "min"' in finding(check_recording(minutes, boat), "unit:time").remedy
+
+
+def test_a_compass_that_stops_is_named_though_it_passes_north_elsewhere() -> None:
+    log, boat = sound(*RUNS["otter"])
+
+    def stop(data: dict[str, np.ndarray]) -> None:
+        heading = np.remainder(data["compass_rad"], 2.0 * math.pi)
+        late = log.t >= log.t[0] + 60.0
+        rows = np.flatnonzero(late & np.isfinite(heading))
+        rows = rows[log.t[rows] < log.t[rows[0]] + 20.0]
+        heading[rows] = heading[rows[0]]
+        data["compass_rad"] = heading
+
+    check = check_recording(recording(log, stop), boat)
+    assert any(each.code == "frozen" and "compass" in each.what for each in check.findings)
+
+
 def test_marks_among_the_commands_are_named_and_no_other_fault() -> None:
     """Pulse widths of 65535 and 0 us, mapped by 0.02 per us from 1500 us."""
 

@@ -102,6 +102,39 @@ def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[s
     assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(angle), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("names", "size"),
+    [(("throttle", "turn"), 1.0), (("Throttle", "Turn"), 100.0), (("speed_cmd", "turn_cmd"), 1.0),
+     (("cmd_vel.linear.x", "cmd_vel.angular.z"), 1.0)],
+)  # fmt: skip
+def test_a_turn_beside_a_throttle_is_a_command(
+    tmp_path: Path, names: tuple[str, str], size: float
+) -> None:
+    columns = boat()
+    rate = np.radians(columns["yaw_rate_dps"])
+    throttle, turn = size * np.abs(np.sin(columns["time_s"] / 20.0)), size * np.tanh(3.0 * rate)
+    kept = {name: columns[name] for name in ("time_s", "lat", "lon", "heading_deg")}
+    found = propose(
+        write(tmp_path / "a.csv", kept | dict(zip(names, (throttle, turn), strict=True)))
+    )
+    text = found.text("a.csv")
+    assert "gyro_radps" not in text and f'n_rps = "{names[0]}"' in text
+    assert re.search(rf'delta_rad = .*"{re.escape(names[1])}"', text)
+    assert any(f"{names[1]}: deg, rad or a share" in each for each in found.questions)
+
+
+@pytest.mark.parametrize("unit", [1.0, 180.0 / math.pi])
+def test_a_turn_beside_two_shafts_is_a_yaw_rate_where_the_heading_says_so(
+    tmp_path: Path, unit: float
+) -> None:
+    columns = boat()
+    rate = unit * np.radians(columns.pop("yaw_rate_dps"))
+    text = propose(write(tmp_path / "a.csv", columns | {"turn": rate})).text("a.csv")
+    assert re.search(r'gyro_radps = .*"turn"', text) and "delta_rad = 0.0" in text
+    text = propose(write(tmp_path / "a.csv", columns | {"turn": np.sign(rate)})).text("a.csv")
+    assert "gyro_radps" not in text and "left out: turn" in text
+
+
 def skid_boat() -> Columns:
     """Return the boat with two columns that are mixed into its thrusters."""
     columns = boat()
@@ -407,6 +440,46 @@ def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: ran
     assert log.cmd[rows[0], 0] == pytest.approx(first, abs=0.2)
 
 
+@pytest.mark.parametrize("mark", ["0", "65535"])
+def test_a_pulse_of_no_width_is_named_where_a_mapping_leaves_it_out(
+    tmp_path: Path, mark: str
+) -> None:
+    path = foreign(tmp_path / "a.csv", pwm_left=lambda k: mark if k == 300 else "1700")
+    mapping = path.with_suffix(".mapping.toml")
+    _, log = proposed(path)
+    mapping.write_text(mapping.read_text().replace(f", empty = [{mark}]", ""))
+    named = Log.read(path)
+    assert any(f"pwm_left: 1 of 600 pulses are {mark} us" in note for note in named.notes)
+    assert np.array_equal(named.cmd, log.cmd)
+
+
+@pytest.mark.parametrize(
+    ("mark", "rows"),
+    [
+        (511.0, [300]),
+        (999.0, [300]),
+        *((m, [*range(5, 600, 30)]) for m in (511.0, -1.0, 360.0, 0.0)),
+    ],
+)
+def test_marks_of_a_heading_in_a_native_log_are_one_finding(
+    tmp_path: Path, mark: float, rows: list[int]
+) -> None:
+    lines = ["t_s,n_rps,delta_rad,gps_x_m,gps_y_m,compass_deg"]
+    for k in range(600):
+        course = math.radians(80.0) + 0.4 * math.sin(0.02 * k)
+        heading = mark if k in rows else math.degrees(course)
+        north, east = 0.4 * k * math.cos(1.4), 0.4 * k * math.sin(1.4)
+        lines.append(f"{0.2 * k:.1f},5,0,{north:.3f},{east:.3f},{heading:.6f}")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines))
+    log, check = Log.read(path), check_log(path)
+    assert np.flatnonzero(np.isnan(log.z[:, 4])).tolist() == rows
+    (found,) = (each for each in check.findings if each.sensor == "compass_rad")
+    assert found.code == "mark" and f"({mark:g} deg)" in found.what
+    assert found.what.startswith(f"compass_deg: {len(rows)} of 600")
+    assert any(f"({mark:g} degrees)" in note for note in log.notes)
+
+
 UNKNOWN = {
     "heading 511": ("heading_deg", "511.0"),
     "heading 999": ("heading_deg", "999"),
@@ -430,6 +503,86 @@ def test_numbers_of_what_is_not_known_are_no_values(tmp_path: Path, name: str) -
     values = log.z[:, 4] if column == "heading_deg" else np.hypot(log.z[:, 2], log.z[:, 3])
     assert np.isnan(values).sum() >= 12 and not np.isfinite(values[100:110]).any()
     assert np.nanmax(values) < 2.0 * math.pi
+
+
+@pytest.mark.parametrize("parts", [1, 10, 100])
+def test_parts_of_degrees_are_told_by_the_track(tmp_path: Path, parts: int) -> None:
+    tenths = foreign(
+        tmp_path / "a.csv",
+        heading_deg=lambda k: f"{parts * (math.degrees(0.01 * k) % 360.0):.0f}",
+    )
+    tenths.write_text(tenths.read_text().replace("heading_deg", "heading", 1))
+    _, log = proposed(tenths)
+    assert np.nanmax(log.z[:, 4]) == pytest.approx(6.0, abs=0.02)
+
+
+def test_places_in_radians_and_places_that_are_none_are_asked_or_named(tmp_path: Path) -> None:
+    _, usual = proposed(foreign(tmp_path / "a.csv"))
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    places = [[math.radians(float(x)) for x in line.split(",")[1:3]] for line in lines[1:]]
+    of = {"lat": lambda k: f"{places[k][0]:.12f}", "lon": lambda k: f"{places[k][1]:.12f}"}
+    said, log = proposed(foreign(tmp_path / "b.csv", **of))
+    assert "lat, lon: radians" in said
+    assert log.z[:, :2] == pytest.approx(usual.z[:, :2], abs=0.01, nan_ok=True)
+    cells = {
+        name: [line.split(",")[j] for line in lines[1:]] for j, name in ((1, "lat"), (2, "lon"))
+    }
+    of = {
+        "lat": lambda k: "91" if k == 7 else cells["lat"][k],
+        "lon": lambda k: "181" if k == 7 else cells["lon"][k],
+    }
+    _, log = proposed(foreign(tmp_path / "c.csv", **of))
+    assert np.isnan(log.z[7, 0]) and any("are (91, 181), as of" in note for note in log.notes)
+
+
+def test_x_to_the_east_is_told_by_the_course(tmp_path: Path) -> None:
+    columns = boat()
+    psi = np.radians(columns["heading_deg"])
+    north, east = (0.2 * np.cumsum(1.5 * f(psi)) for f in (np.cos, np.sin))
+    del columns["lat"], columns["lon"]
+    columns |= {"sog_mps": np.full(ROWS, 1.5), "cog": columns["heading_deg"]}
+    found = propose(write(tmp_path / "a.csv", columns | {"x": east, "y": north}))
+    assert 'gps_x_m = "y"' in found.text("a") and "enu" not in found.text("a")
+    assert any("x is east and y north" in each for each in found.questions)
+    found = propose(write(tmp_path / "a.csv", columns | {"x": north, "y": east}))
+    assert 'gps_x_m = "x"' in found.text("a")
+
+
+def test_revolutions_a_minute_are_no_pulses_and_a_motor_without_a_neutral_is_asked(
+    tmp_path: Path,
+) -> None:
+    def idles(k: int) -> str:
+        return "0" if k % 100 < 50 else str(850 + k)
+
+    named = foreign(tmp_path / "a.csv", pwm_left=idles, pwm_right=idles)
+    text = named.read_text()
+    named.write_text(text.replace("pwm_left", "rpm_left", 1).replace("pwm_right", "rpm_right", 1))
+    said, log = proposed(named)
+    assert "empty" not in said and log.cmd[:, 0].max() == pytest.approx((850 + 599) / 60.0)
+    said, _ = proposed(foreign(tmp_path / "b.csv"))
+    assert "pwm_left: pulse widths, and stopped at 1500 us?" in said
+
+
+LANGUAGES = [
+    "Zeit (s);Breite (°);Länge (°);Fahrt (kn);Kurs (°);Kompasskurs (°);Drehzahl links (1/min);x",
+    "Temps (s);Latitude;Longitude;Vitesse (nds);Route (deg);Cap (deg);Régime gauche (tr/min);x",
+    "Tid;Breddegrad;Lengdegrad;Fart (knop);Kurs;Heading;Turtall babord;x",
+    "time|lat|lon|speed (kn)|course|heading_deg|rpm port|x",
+]
+
+
+@pytest.mark.parametrize("head", LANGUAGES)
+def test_headers_of_other_languages_are_read(tmp_path: Path, head: str) -> None:
+    mark = "|" if "|" in head else ";"
+    lines = foreign(tmp_path / "a.csv").read_text().splitlines()[1:]
+    path = tmp_path / "b.csv"
+    path.write_text("\n".join([head, *(line.replace(",", mark) for line in lines)]), "utf-8")
+    text = propose(path).text("b.csv")
+    names = head.split(mark)
+    for key, name in (("latitude", 1), ("longitude", 2), ("speed", 3), ("course", 4)):
+        assert re.search(rf'{key} = .*"{re.escape(names[name])}"', text)
+    assert re.search(rf'compass_rad = .*"{re.escape(names[5])}"', text)
+    assert re.search(rf'n_(left_)?rps = .*"{re.escape(names[6])}"', text)
 
 
 def test_a_heading_of_360_is_north(tmp_path: Path) -> None:

@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from twin.cli.main import app
+from twin.integrity.log_check import check_log
 from twin.logs.dates import Midnight, date_formats, dates, past_midnight
 from twin.logs.errors import LogError
 from twin.logs.log import Log
@@ -55,6 +57,7 @@ def part(t: datetime, digits: int = 3) -> str:
 
 
 DATES: dict[str, tuple[str, Callable[[datetime], str], float]] = {
+    "dash": ("Time", lambda t: f"{t:%Y%m%d-%H%M%S}.{part(t)}", 0.0),
     "UTC": ("Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} UTC", 0.0),
     "GMT": ("Time", lambda t: f"{t:%d %b %Y %H:%M:%S.%f} GMT", 0.0),
     "CEST": ("Time", lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} CEST", -7200.0),
@@ -380,6 +383,70 @@ def test_a_log_goes_on_across_the_change_of_clocks(tmp_path: Path) -> None:
     log = Log.read(path)
     assert log.datum is not None and log.datum.epoch == pytest.approx(start.timestamp(), abs=0.01)
     assert np.diff(log.t) == pytest.approx(0.2, abs=1e-6)
+
+
+CHANGES = {
+    "Europe/Berlin": (datetime(2024, 10, 27, 1, tzinfo=UTC), datetime(2024, 3, 31, 1, tzinfo=UTC)),
+    "America/New_York": (
+        datetime(2024, 11, 3, 6, tzinfo=UTC),
+        datetime(2024, 3, 10, 7, tzinfo=UTC),
+    ),
+}
+
+
+def across(path: Path, change: datetime, cell: Callable[[datetime], str], place: str) -> Path:
+    """Write a log of a local clock that is set a minute after its start."""
+    first = (change - timedelta(seconds=60)).replace(tzinfo=None)
+
+    def shown(now: datetime) -> str:
+        return cell(now.replace(tzinfo=UTC).astimezone(ZoneInfo(place)))
+
+    return write(path, "Time", shown, start=first)
+
+
+@pytest.mark.parametrize("place", CHANGES)
+@pytest.mark.parametrize("season", [0, 1])
+def test_a_local_clock_that_is_set_is_named_and_undone_by_its_place(
+    tmp_path: Path, place: str, season: int
+) -> None:
+    change = CHANGES[place][season]
+    path = across(tmp_path / "run.csv", change, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f}", place)
+    said = CliRunner().invoke(app, ["mapping", str(path)]).output
+    assert f"is set {'forward' if season else 'back'} by an hour at row 121" in said
+    found = " ".join(each.what for each in check_log(path).findings)
+    assert "1 h, as local time is" in found
+    log = mapped(path, "--zone", place, "--force")
+    assert log.datum is not None
+    assert log.datum.epoch == pytest.approx(change.timestamp() - 60.0, abs=1e-3)
+    assert not any("lack zeros" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("zone", ["America/New_York", "-05:00"])
+@pytest.mark.parametrize("season", [0, 1])
+def test_each_name_of_a_zone_in_the_cells_is_its_own_time(
+    tmp_path: Path, zone: str, season: int
+) -> None:
+    """EDT is an hour ahead of EST, whose place or hours are asked, for it is that of several."""
+    place = "America/New_York"
+    change = CHANGES[place][season]
+    path = across(tmp_path / "run.csv", change, lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f %Z}", place)
+    asked = CliRunner().invoke(app, ["mapping", str(path)])
+    assert asked.exit_code == 2 and "EST is the name of several zones" in asked.output
+    log = mapped(path, f"--zone={zone}")
+    assert log.datum is not None
+    assert log.datum.epoch == pytest.approx(change.timestamp() - 60.0, abs=1e-3)
+
+
+def test_the_hour_that_comes_twice_is_the_second_where_its_end_or_name_says_so(
+    tmp_path: Path,
+) -> None:
+    place = "America/New_York"
+    for late, form in ((3600, "%Y-%m-%d %H:%M:%S.%f"), (600, "%Y-%m-%d %H:%M:%S.%f %Z")):
+        begin = CHANGES[place][0] + timedelta(seconds=late)
+        path = across(tmp_path / "run.csv", begin, lambda t, f=form: f"{t:{f}}", place)
+        log = mapped(path, "--zone", place, "--force")
+        assert log.datum is not None
+        assert log.datum.epoch == pytest.approx(begin.timestamp() - 60.0, abs=1e-3)
 
 
 def test_the_zone_of_the_cells_wins_over_another_one(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from twin.logs.proposal.header_words import (
     NAMES,
+    is_rpm,
+    is_setpoint,
     is_shaft,
     is_side,
     is_steering,
@@ -47,6 +49,9 @@ def find_commands(columns: Columns, found: Proposal, given: Collection[str]) -> 
         if any(name in given for name in (single, *pair)):
             continue
         there = [n for n in columns.left if n in columns.numbers and is_named(n)]
+        there.sort(key=is_setpoint)  # what was done tells more than what was asked for
+        if any(line.startswith("n_left_rps") for line in found.lines.get("columns", ())):
+            there = [n for n in there if not is_setpoint(n) and "turn" not in words_of(n)]
         sides = _sides(columns, found, there, shafts=is_named is is_shaft)
         if sides is not None:
             for target, source in zip(pair, sides, strict=True):
@@ -136,14 +141,21 @@ def find_pulses(columns: Columns, found: Proposal) -> None:
 
 
 def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
-    values, words = known(columns.numbers[name]), words_of(name)
+    values, rpm = known(columns.numbers[name]), is_rpm(name)
     most = float(np.abs(values).max(initial=0.0))
-    if is_pulses(values) and "rpm" not in words:
+    if is_pulses(values) and not rpm:
         put(columns, found, target, name, "", _PULSES, "pulse width, 1500 us: stop")
-    elif "rpm" in words or most > 150.0:
-        if "rpm" not in words:
+        if (values == 1500.0).mean() < 0.02:
+            found.questions.append(
+                f"{name}: pulse widths, and stopped at 1500 us? Where it is 1000, offset = -20.0; "
+                'if these are rpm, write unit = "rpm" alone'
+            )
+    elif unit_of(name, ("radps",)):
+        put(columns, found, target, name, "radps")
+    elif rpm or most > 150.0:
+        if not rpm:
             found.questions.append(f"{name}: rpm, by its size? Else state its unit, or a scale")
-        put(columns, found, target, name, "rpm", why="" if "rpm" in words else "by its size")
+        put(columns, found, target, name, "rpm", why="" if rpm else "by its size")
     else:
         put(columns, found, target, name, why="rev/s, or any unit: as in the particulars")
 

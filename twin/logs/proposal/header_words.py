@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 __all__ = [
     "NAMES",
+    "is_rpm",
+    "is_setpoint",
     "is_shaft",
     "is_side",
     "is_steering",
@@ -28,29 +30,40 @@ SIDES = {
 
 SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
-    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador"
+    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|giri|rotacao|"
+    r"revoluciones|varvtal"
 )
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|timon|timone"
+    r"ruderwinkel|barre|safran|timon|timone|roer|roerhoek|ror|rorvinkel|leme|tiller|turn"
 )
+
+SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
+"""Words of what a boat is told to do, not of what it does; ..."""
+
+AHEAD = r"speed|vel|velocity|linear|surge|forward"
+ROUND = r"yaw|angular|rotation|rot|yawrate|turnrate"
+"""... of its propulsion and its steering, where no other word says so."""
 
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
 
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
-    r"datum|zeit|uhrzeit|heure|fecha|hora|tijd",
-    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine",
-    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine",
-    "north": r"x|north|northing",
-    "east": r"y|east|easting",
-    "speed": r"sog|speed|spd|velocity|groundspeed",
-    "course": r"cog|course|crs|gcrs|track",
-    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
+    r"datum|zeit|uhrzeit|zeitstempel|heure|temps|fecha|hora|tiempo|tempo|tijd|tid",
+    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|breddegrad|breedtegraad",
+    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine|"
+    r"lengdegrad|lengtegraad",
+    "north": r"x|north|northing|utmn",
+    "east": r"y|east|easting|utme",
+    "speed": r"sog|speed|spd|velocity|groundspeed|fahrt|vitesse|velocidad|velocidade|velocita|"
+    r"geschwindigkeit|fart|snelheid",
+    "course": r"cog|course|crs|gcrs|track|kurs|koers|route|rumbo|rumo|rotta",
+    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|kompasskurs|steuerkurs|"
+    r"kompas|cap|prua|proa",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
-    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|turn",
+    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",
     "accel_z": r"az|accz|accelz",
@@ -62,7 +75,7 @@ NAMES = {
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
     "to_east": r"ve|vele|veast|veleast|velocityeast|vy|vely",
-    "steering": r"steer|steering|str|helm|lenkung",
+    "steering": r"steer|steering|str|helm|lenkung|turn|yaw|angular|rotation",
     "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+|rc\d+",
     "wind_speed": r"tws|windspeed",
     "wind_from": r"twd|winddirection|winddir|windfrom",
@@ -72,16 +85,17 @@ NAMES = {
 """Words in the names of columns, by what they mean."""
 
 UNIT_WORDS = {
-    "deg": r"deg|degs|degree|degrees|°",
+    "deg": r"deg|degs|degree|degrees|°|grad|grados|gradi|degres",
     "rad": r"rad|rads|radians",
-    "kn": r"kn|kt|kts|knot|knots",
+    "kn": r"kn|kt|kts|knot|knots|knoten|nds|noeuds|nudos|nodi|knop",
     "kmph": r"kmh|kmph|kph",
+    "mph": r"mph",
     "mps": r"mps|ms1",
     "mps2": r"mps2|ms2|mpss",
     "degps": r"degps|dps|degs",
     "degpmin": r"degpmin|degmin|dpm",
     "radps": r"radps|rads",
-    "rpm": r"rpm",
+    "rpm": r"rpm|[u1]pmin|trpmin|omwpmin",
     "rps": r"rps|hz",
     "ms": r"ms|msec|millis|milliseconds",
     "us": r"us|usec|micros",
@@ -125,7 +139,7 @@ def unit_of(name: str, among: Sequence[str]) -> str:
 
 def is_turn_rate(name: str) -> bool:
     """Return whether a name is that of a rate of turn, such as ``YawRate`` or ``yaw [deg/s]``."""
-    turns = rf"{NAMES['heading']}|{NAMES['gyro']}"
+    turns = rf"{NAMES['heading']}|{NAMES['gyro']}|turn"
     rates = r"rate|speed|velocity|vel|dot|angvel"
     words = words_of(name)
     if not any(re.fullmatch(rf"({turns})({rates})?", word) for word in words):
@@ -135,20 +149,34 @@ def is_turn_rate(name: str) -> bool:
     return bool(unit_of(name, ("degpmin", "degps", "radps")))
 
 
+def is_rpm(name: str) -> bool:
+    """Return whether a name is that of revolutions a minute."""
+    return "rpm" in words_of(name) or bool(unit_of(name, ("rpm",)))
+
+
+def is_setpoint(name: str) -> bool:
+    """Return whether a name is that of something that the boat is told."""
+    return any(re.fullmatch(SETPOINT, word) for word in words_of(name))
+
+
 def _is_command(name: str, pattern: str) -> bool:
     """Return whether a name is that of a command: a word of a pattern, with or without a side."""
     side = rf"({'|'.join(SIDES.values())}|[ab]|\d)?"
-    return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
+    words = words_of(name)
+    there = [word for word in words if len(word) > 1 or word == words[0]]
+    return any(re.fullmatch(rf"({pattern}){side}", word) for word in there)
 
 
 def is_steering(name: str) -> bool:
     """Return whether a name is that of a steering angle."""
-    return _is_command(name, STEER)
+    told = is_setpoint(name) and _is_command(name, ROUND)
+    return told or (_is_command(name, STEER) and not is_turn_rate(name))
 
 
 def is_shaft(name: str) -> bool:
     """Return whether a name is that of a shaft speed or throttle."""
-    return _is_command(name, SHAFT) or (_is_command(name, PULSE) and not is_steering(name))
+    other = _is_command(name, PULSE) or (is_setpoint(name) and _is_command(name, AHEAD))
+    return _is_command(name, SHAFT) or (other and not is_steering(name))
 
 
 def is_side(name: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -44,6 +45,12 @@ def find_position(columns: Columns, found: Proposal, t: Array | None) -> tuple[A
     if in_degrees(fix[np.isfinite(fix).all(axis=1)]):
         found.questions.append(f"{north}, {east}: degrees of latitude and longitude, by their size")
         return place_degrees(columns, found, t, (north, east))
+    lat, lon = fix.T
+    if _is_swapped(columns, t, lat, lon, _level) or _is_swapped_by_heading(
+        columns, t, lat, lon, _level
+    ):
+        found.questions.append(f"{north} is east and {east} north, as course or commands say")
+        north, east, fix = east, north, fix[:, ::-1]
     put(columns, found, "gps_x_m", north, why="north?")
     put(columns, found, "gps_y_m", east, why="east?")
     return None if t is None else clean(t, fix)
@@ -85,6 +92,13 @@ def place_degrees(
         lat, lon = 1e-7 * lat, 1e-7 * lon
         most = [1e-7 * each for each in most]
         add_line(found, "position", "scale = 1e-7  # as MAVLink has them")
+    if 0.0 < most[0] <= 0.5 * math.pi and 0.0 < most[1] <= math.pi:
+        found.questions.append(
+            f"{names[0]}, {names[1]}: radians, by their size; else drop the scale"
+        )
+        add_line(found, "position", f"scale = {180.0 / math.pi!r}  # radians")
+        lat, lon = np.degrees(lat), np.degrees(lon)
+        most = [math.degrees(each) for each in most]
     swapped = ""
     if most[0] > 180.0 and in_minutes(lat, lon):
         add_line(found, "position", 'unit = "ddmm"  # degrees and minutes, as NMEA has them')
@@ -137,6 +151,9 @@ def _hemisphere(columns: Columns, letters: str) -> tuple[str, Array] | None:
     return None
 
 
+_Place = Callable[[Array, Array, Array], tuple[Array, Array] | None]
+
+
 def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     """Return times and metres north and east of the first fix, of degrees."""
     first = (lat != 0.0) & (np.abs(lat) <= 90.0) & np.isfinite(lon)
@@ -146,7 +163,14 @@ def _metres(t: Array, lat: Array, lon: Array) -> tuple[Array, Array] | None:
     return clean(t, np.column_stack(plane.metres(lat, lon)))
 
 
-def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+def _level(t: Array, north: Array, east: Array) -> tuple[Array, Array]:
+    """Return times and metres of positions that are metres."""
+    return clean(t, np.column_stack([north, east]))
+
+
+def _is_swapped(
+    columns: Columns, t: Array | None, lat: Array, lon: Array, place: _Place = _metres
+) -> bool:
     """Return whether speed and course over ground say that latitude and longitude are swapped."""
     speed, course = pick(columns, "speed"), pick(columns, "course")
     if t is None or speed is None or course is None or speed == course:
@@ -157,9 +181,9 @@ def _is_swapped(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bo
     velocity = clean(t, np.column_stack([value * np.cos(angle), value * np.sin(angle)]))
     coherence = []
     for one, other in ((lat, lon), (lon, lat)):
-        if np.abs(known(one)).max(initial=0.0) > 90.0:
+        if place is _metres and np.abs(known(one)).max(initial=0.0) > 90.0:
             return False
-        fix = _metres(t, one, other)
+        fix = place(t, one, other)
         fit = None if fix is None else velocity_on_fixes(fix, velocity)
         aligned = fit is not None and abs(fit.turned) < 0.3
         coherence.append(fit.coherence if fit is not None and aligned else 0.0)
@@ -177,14 +201,17 @@ def is_from_east(fix: tuple[Array, Array], heading: tuple[Array, Array]) -> bool
     return True if abs(fit.mirror - 0.5 * math.pi) < 0.6 else None
 
 
-def _is_swapped_by_heading(columns: Columns, t: Array | None, lat: Array, lon: Array) -> bool:
+def _is_swapped_by_heading(
+    columns: Columns, t: Array | None, lat: Array, lon: Array, place: _Place = _metres
+) -> bool:
     """Return whether the heading counts from east by the track, but from north by the shafts.
 
     More thrust to port increases a heading that runs clockwise from north.
     """
     name = pick(columns, "heading")
-    fix = None if t is None else _metres(t, lat, lon)
-    if t is None or fix is None or name is None or np.abs(known(lon)).max(initial=0.0) > 90.0:
+    fix = None if t is None else place(t, lat, lon)
+    beyond = place is _metres and np.abs(known(lon)).max(initial=0.0) > 90.0
+    if t is None or fix is None or name is None or beyond:
         return False
     values = columns.numbers[name]
     if np.abs(known(values)).max(initial=0.0) > 3000.0:

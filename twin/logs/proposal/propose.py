@@ -18,11 +18,21 @@ from twin.logs.agreement import (
 from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
-from twin.logs.columns import OTHER_UNITS, SINGLE, Array
+from twin.logs.columns import OTHER_UNITS, SINGLE, UNITS, Array
 from twin.logs.errors import LogError
 from twin.logs.log import read_table
 from twin.logs.proposal.commands import find_commands, find_pulses
-from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, unit_of
+from twin.logs.proposal.header_words import (
+    NAMES,
+    is_setpoint,
+    is_shaft,
+    is_steering,
+    is_turn_rate,
+    means,
+    sides_of,
+    unit_of,
+    words_of,
+)
 from twin.logs.proposal.positions import angle_unit, find_position, is_from_east
 from twin.logs.proposal.sheet import (
     Columns,
@@ -196,7 +206,7 @@ def _velocity(
         return False
     radians = angle_unit(course, columns.numbers[course]) == "rad"
     angle = columns.numbers[course] * (1.0 if radians else math.pi / 180.0)
-    unit = unit_of(speed, ("kn", "kmph", "mps"))
+    unit = unit_of(speed, ("kn", "kmph", "mps", "mph", "ftps"))
     why = ""
     if t is not None and fix is not None:
         value = columns.numbers[speed]
@@ -217,8 +227,9 @@ def _velocity(
 
 def _speed_unit(ratio: float) -> str:
     """Return the unit of a speed that is so many times too small."""
-    units = {"mps": 1.0, "kn": 1852.0 / 3600.0, "kmph": 1.0 / 3.6}
-    return next((unit for unit, scale in units.items() if abs(ratio / scale - 1.0) < 0.12), "")
+    off = {unit: abs(ratio / scale - 1.0) for unit, scale in UNITS["mps"].items()}
+    nearest = min(off, key=lambda unit: off[unit])
+    return nearest if off[nearest] < 0.12 else ""
 
 
 def _heading(
@@ -234,15 +245,22 @@ def _heading(
             f"{name}: from magnetic north? Then add the variation, east above 0, to its offset, rad"
         )
     values, more, why = columns.numbers[name], "", ""
-    if 3000.0 < np.abs(known(values)).max(initial=0.0) <= 36000.0:
-        values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
-    unit = angle_unit(name, values)
-    if unit == "deg" and not unit_of(name, ("deg",)) and t is not None and fix is not None:
-        fits = [heading_on_track(fix, clean(t, k * values)) for k in (1.0, math.pi / 180.0)]
-        radians, degrees = (0.0 if f is None else max(f.coherence, f.mirrored) for f in fits)
-        if radians > degrees + 0.3:
-            unit, why = "rad", "turns are counted on, as the track says"
-    values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
+    most = float(np.abs(known(values)).max(initial=0.0))
+    scale = 1.0 if not 3000.0 < most <= 36000.0 else 0.1 if most <= 3600.0 else 0.01
+    unit, degree = angle_unit(name, values), math.pi / 180.0
+    if unit == "deg" and t is not None and fix is not None:
+        ways = {("deg", part): part * degree for part in (1.0, 0.1, 0.01)}
+        ways |= {} if unit_of(name, ("deg",)) else {("rad", 1.0): 1.0}
+        fits = {way: heading_on_track(fix, clean(t, k * values)) for way, k in ways.items()}
+        goes = {way: 0.0 if f is None else max(f.coherence, f.mirrored) for way, f in fits.items()}
+        best = max(goes, key=lambda way: goes[way])
+        if goes[best] > goes[unit, scale] + 0.3:
+            unit, scale = best
+            why = (
+                "as the track says" if unit == "deg" else "turns are counted on, as the track says"
+            )
+    more = f"scale = {scale:g}" * (scale < 1.0)
+    values = scale * values * (degree if unit == "deg" else 1.0)
     heading = None if t is None else clean(t, values)
     east = False if heading is None or fix is None else is_from_east(fix, heading)
     if east is None:
@@ -252,10 +270,8 @@ def _heading(
     elif east and heading is not None:
         more = f"{more}, " * bool(more) + 'frame = "enu"'
         why = "it counts from east, as the track says"
-        if "position" in found.lines:
-            found.questions.append(
-                f"{name}: counts from east, or latitude and longitude are swapped"
-            )
+        axes = "latitude and longitude" if "position" in found.lines else "north and east"
+        found.questions.append(f"{name}: counts from east, or {axes} are swapped")
         heading = heading[0], 0.5 * math.pi - heading[1]
     put(columns, found, "compass_rad", name, "deg" if unit == "deg" else "", more, why)
     return heading
@@ -266,28 +282,37 @@ def _gyro(
 ) -> None:
     """Find the yaw rate; the heading tells which it is, its unit and sign."""
     best: Agreement | None = None
-    name = pick(columns, "gyro")
+    name, unit, more, why = pick(columns, "gyro"), "", "", ""
+    scale = {"radps": 1.0, "degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
+    # without a unit, turn is what steers, where nothing else does
+    there = [each for each in columns.left if each in columns.numbers]
+    steered = sum(map(is_steering, there)) > 1 or sides_of([*filter(is_shaft, there)]) is not None
+    for each in there:
+        plain = is_steering(each) and not is_setpoint(each) and "turn" in words_of(each)
+        named = means(each, NAMES["gyro"]) or is_turn_rate(each) or (plain and steered)
+        if not named or t is None or heading is None:
+            continue
+        fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
+        if fit is None:
+            continue
+        sure = fit.coherence > 0.8
+        says = [u for u, size in scale.items() if sure and 0.7 < fit.ratio * size < 1.4]
+        if (plain and not says) or (best and best.coherence >= fit.coherence):
+            continue
+        best, name, unit, more = fit, each, "".join(says), ""
+        why = "as the heading says" if says else ""
+        if sure and abs(fit.turned) > 1.0:
+            more, why = "scale = -1.0", "it turns against the heading"
     if name is None:
         return
-    if t is not None and heading is not None:
-        for each in columns.left:
-            named = means(each, NAMES["gyro"]) or is_turn_rate(each)
-            if each not in columns.numbers or not named:
-                continue
-            fit = gyro_on_compass(*heading, *clean(t, columns.numbers[each]))
-            if fit is not None and (best is None or fit.coherence > best.coherence):
-                best, name = fit, each
-    unit = unit_of(name, ("degpmin", "degps", "radps"))
-    scale = {"degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
-    more = why = ""
-    if best is not None and best.coherence > 0.8:
-        for each in ("radps", "degps", "degpmin"):
-            if 0.7 < best.ratio * scale.get(each, 1.0) < 1.4:
-                unit, why = each, "as the heading says"
-        if abs(best.turned) > 1.0:
-            more, why = "scale = -1.0", "it turns against the heading"
-    elif best is not None:
+    if best is not None and best.coherence <= 0.8:
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    elif best is not None and not unit:
+        found.questions.append(
+            f"{name}: turns as the heading does, but in which unit? By that, scale = "
+            f"{1.0 / best.ratio:.3g}"
+        )
+    unit = unit or unit_of(name, ("degpmin", "degps", "radps"))
     if heading is None and not unit:
         if float(np.quantile(np.abs(known(columns.numbers[name])), 0.99)) > _FASTEST:
             unit, why = "degps", "by its size"
@@ -344,9 +369,11 @@ def _plain(columns: Columns, found: Proposal) -> None:
         elif meaning.startswith("accel"):
             if vertical is None and not unit and not unit_of(name, ("mps2",)):
                 found.questions.append(f"{name}: g or m/s2? m/s2 is taken")
-            unit = "g" if unit or 0.5 < abs(force) < 2.0 else ""
+            unit = "g" if unit or 0.5 < abs(force) < 2.0 or 500.0 < abs(force) < 2e3 else ""
+            scale = 0.001 if abs(force) > 500.0 else 1.0  # thousandths
             if name == vertical and force > 0.0:
-                more, why = "scale = -1.0", "it points up"
+                scale, why = -scale, "it points up"
+            more = f"scale = {scale}" * (scale != 1.0)
         elif meaning in ("height", "climb"):
             more, why = "scale = -1.0", "down is above 0"
         put(columns, found, target, name, unit.removeprefix("mps"), more, why)

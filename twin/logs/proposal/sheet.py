@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +14,17 @@ from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
 from twin.logs.files import hemispheres, number_of, twice_said, units_line
+from twin.logs.marks import NO_PULSES, RARE, marks_of
 from twin.logs.parquet import column_file
-from twin.logs.proposal.header_words import NAMES, is_turn_rate, means, words_of
+from twin.logs.proposal.header_words import (
+    NAMES,
+    is_rpm,
+    is_setpoint,
+    is_steering,
+    is_turn_rate,
+    means,
+    words_of,
+)
 
 __all__ = [
     "Columns",
@@ -82,11 +92,6 @@ def read_columns(path: Path) -> Columns:
 _PULSES_US = 800.0, 2200.0
 """Pulse widths that servos and motor controllers take."""
 
-_RARE = 0.01
-"""Numbers that stand for none come in a larger share of the rows; of AIS, those of a speed in any,
-and other commands than pulses lie among them."""
-
-
 _ANGLES = "heading", "course", "wind_from", "apparent_from"
 
 _SPEEDS = "speed", "wind_speed", "apparent_speed"
@@ -97,30 +102,19 @@ def _marks(name: str, values: Array) -> list[float]:
     seen = values[np.isfinite(values)]
     pulses = seen[(seen >= _PULSES_US[0]) & (seen <= _PULSES_US[1])]
     none = (seen < _PULSES_US[0]) | (seen > _PULSES_US[1])
-    if none.any() and (np.isin(seen[none], (-1.0, 0.0, 65535.0)).all() or none.mean() < _RARE):
+    if (
+        none.any()
+        and not is_rpm(name)
+        and (np.isin(seen[none], NO_PULSES).all() or none.mean() < RARE)
+    ):
         return np.unique(seen[none]).tolist() if len(pulses) else []
-    angle = any(means(name, NAMES[word]) for word in _ANGLES)
-    if not angle and not any(means(name, NAMES[word]) for word in _SPEEDS):
-        return []
-    found: list[float] = []
-    while len(np.unique(seen)) > 2:
-        low, *_, high = np.unique(seen)
-        for mark in (low, high):
-            others = seen[seen != mark]
-            beyond = max(others.min() - mark, mark - others.max())
-            edge = np.diff((seen == mark).astype(np.int8)) != 0
-            # 360, 361 or -1 may be a course beside others to the north
-            apart = np.abs(np.remainder(np.diff(seen)[edge] + 180.0, 360.0) - 180.0) > 30.0
-            turned = angle and (mark < 0.0 <= others.min() or mark >= 360.0 >= others.max())
-            often = mark in (102.3, 1023.0) or len(others) < (1.0 - _RARE) * len(seen)
-            far = beyond > np.ptp(others) and often
-            if far or (not angle and mark < 0.0 <= others.min()) or (turned and apart.mean() > 0.5):
-                found.append(float(mark))
-                seen = others
-                break
-        else:
-            break
-    return sorted(found)
+    if is_steering(name):
+        return [mark for mark in marks_of(values, math.inf) if abs(mark) > 90.0]
+    if any(means(name, NAMES[word]) for word in _ANGLES):
+        # a course of 0 may be that of a boat at rest
+        course = not means(name, NAMES["heading"])
+        return [mark for mark in marks_of(values, 360.0) if mark != 0.0 or not course]
+    return marks_of(values) if any(means(name, NAMES[word]) for word in _SPEEDS) else []
 
 
 def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:
@@ -131,6 +125,7 @@ def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:
         if (name in columns.numbers or not numeric)
         and (means(name, NAMES[meaning]) or (meaning == "gyro" and is_turn_rate(name)))
         and "rpm" not in words_of(name)  # the r of rpm_r is a side
+        and not is_setpoint(name)
         # a yaw rate is neither a heading nor a speed
         and not (meaning in ("heading", "speed") and is_turn_rate(name))
     ]

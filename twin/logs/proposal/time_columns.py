@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.logs.clock import wild_stamps
+from twin.logs.clock import HOUR_S, hours_of, wild_stamps
 from twin.logs.columns import Array
 from twin.logs.dates import (
     MEANINGS,
@@ -21,11 +21,13 @@ from twin.logs.dates import (
     ahead_of_utc,
     date_formats,
     dates,
+    in_utc,
     is_day,
     is_time_of_day,
     joined,
     lack_zeros,
     padded,
+    second_hours,
     with_zeros,
 )
 from twin.logs.errors import LogError
@@ -221,6 +223,16 @@ def _dated(
             found.why = "dates without a zone count as UTC"
             if re.search(r"local|lokal|ortszeit", title, re.IGNORECASE):
                 found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
+    found.seconds = in_utc(found.seconds, cells, form, zone)
+    found.seconds = found.seconds + second_hours(found.seconds, zone)
+    step = np.diff(_known(found.seconds))
+    typical = float(np.median(np.abs(step))) if len(step) else 0.0
+    for row in np.flatnonzero(np.abs(step - typical) > 0.5 * HOUR_S)[:1].tolist():
+        if hours_of(float(step[row]) - typical, typical):
+            found.questions.append(
+                f"{title}: the clock is set {'back' if step[row] < 0.0 else 'forward'} by an hour "
+                f"at row {row + 2}, as local time is; state its place, as --zone Europe/Berlin"
+            )
     if zone and zone != "+00:00":
         found.more += f'{", " * bool(found.more)}zone = "{zone}"'
     return found

@@ -1,6 +1,6 @@
 r"""NMEA 0183: sentences of a boat as rows.
 
-Taken are, of any talker, GGA and RMC (fix and velocity), or GLL and VTG where these do not come;
+Taken are, of any talker, GGA and RMC (fix and velocity), or GNS, GLL, VTG where these do not come;
 the heading of the first that comes of HDT, THS, PASHR, VHW, HDG and HDM, magnetic ones with the
 variation of HDG or RMC; ROT (rate of turn), RPM and RSA (commands); for roll and pitch PASHR, or
 XDR with transducers named PTCH or PITCH
@@ -47,7 +47,7 @@ DAY = 86400.0
 
 KNOT = 1852.0 / 3600.0
 
-BETTER = {"GLL": ("GGA", "RMC"), "VTG": ("RMC",)}
+BETTER = {"GNS": ("GGA", "RMC"), "GLL": ("GGA", "RMC", "GNS"), "VTG": ("RMC",)}
 """Kinds of sentences that count only while these do not come; of headings, see below."""
 
 HEADINGS = ("HDT", "THS", "PASHR", "VHW", "HDG", "HDM")
@@ -65,7 +65,7 @@ NO_FIX = (0, 6)
 """GGA qualities that measure nothing (none, estimated), ..."""
 
 NO_MODE = ("N", "E")
-"""... and modes of RMC."""
+"""... and modes of RMC, and of each system of satellites of GNS."""
 
 TILTED = {"PTCH": "pitch", "PITCH": "pitch", "ROLL": "roll", "HEEL": "roll"}
 """How names of transducers begin, and what they measure."""
@@ -265,12 +265,15 @@ def _place(sentence: Any) -> tuple[float, float] | None:
 
 
 def _gga(sentence: Any) -> Message:
-    void = sentence.quality == "" or sentence.quality in NO_FIX
+    return _fix("GGA", sentence, sentence.quality == "" or sentence.quality in NO_FIX)
+
+
+def _fix(kind: str, sentence: Any, void: bool) -> Message:
     place = None if void else _place(sentence)
     height = None if place is None else _number(sentence.alt)
     values = {} if height is None else {"gps_z_m": -height}
     stamp = _stamp(sentence.time, sentence.payload[0])
-    return Message("GGA", stamp, values, place, void=place is None)
+    return Message(kind, stamp, values, place, void=place is None)
 
 
 def _rmc(sentence: Any) -> Message:
@@ -450,6 +453,7 @@ def _zda(sentence: Any) -> Message:
 _READERS: dict[str, Callable[[Any], Message | str]] = {
     "GGA": _gga,
     "RMC": _rmc,
+    "GNS": lambda sentence: _fix("GNS", sentence, {*sentence.posMode} <= {*NO_MODE}),
     "GLL": _gll,
     "VTG": _vtg,
     "HDT": lambda sentence: _heading("HDT", sentence.headingT),

@@ -59,8 +59,8 @@ def _times(path: Path, lines: Sequence[bytes]) -> tuple[int, Array]:
     if not len(known):
         came = "".join(f", {count} {name}" for name, count in unread.items())
         raise LogError(
-            f"{path}: no sentence tells the time (GGA, RMC, GLL, ZDA): {len(lines)} lines{came} "
-            "(broken: without a checksum, or with a wrong one)"
+            f"{path}: no sentence tells the time (GGA, RMC, GNS, GLL, ZDA): {len(lines)} lines"
+            f"{came} (broken: without a checksum, or with a wrong one)"
         )
     times = np.maximum.accumulate(np.unwrap(stamps[0, known], period=DAY))
     return int(known[0]), np.interp(np.arange(known[0], len(lines)), known, times)

@@ -270,6 +270,13 @@ def test_a_magnetic_heading_without_a_variation_is_said_to_wait_for_it(wire: Wir
     assert "no variation (HDG, RMC)" in note and "GSV: not followed" in note
 
 
+def test_a_place_comes_from_gns_whose_systems_have_a_fix(wire: Wire) -> None:
+    gns = "GNGNS,{},5912.0000,N,01042.0000,E,{},12,0.8,3.0,40.0,,"
+    wire.tell(line(gns.format("120000.00", "NN")), line(gns.format("120001.00", "AN")))
+    (row,) = (z for _, z, _ in wire.take(after=1.0) if np.isfinite(z[0]))
+    assert row[:2] == pytest.approx([0.0, 0.0]) and wire.balance()["void"] == 1
+
+
 def test_place_and_speed_come_from_gll_and_vtg_where_nothing_better_comes(wire: Wire) -> None:
     vtg = "GPVTG,90.0,T,104.0,M,2.5,N,4.6,K,A"
     wire.tell(line(GLL) + line(vtg))

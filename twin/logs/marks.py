@@ -1,0 +1,53 @@
+"""Numbers of a column that stand for "no value"."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.logs.columns import Array
+from twin.logs.signals import ENOUGH
+
+__all__ = ["HEADINGS", "NO_PULSES", "RARE", "marks_of"]
+
+NO_PULSES = -1.0, 0.0, 65535.0
+"""Numbers of a servo or motor controller that gets no pulses, in place of their width, us."""
+
+HEADINGS = "compass_rad", "wind_from_rad", "apparent_wind_rad"
+"""Columns of a log in which a receiver says 511, 999 or 360 degrees where it knows none."""
+
+RARE = 0.01
+"""Numbers that stand for none come in a larger share of the rows; of AIS, those of a speed in any,
+and other commands than pulses lie among them."""
+
+
+def marks_of(values: Array, turn: float = math.nan) -> list[float]:
+    """Return the numbers of a speed, or of an angle that counts a turn so, that are no values.
+
+    An infinite turn is that of numbers of either sign that are no headings.
+    """
+    seen, angle = values[np.isfinite(values)], turn == turn
+    found: list[float] = []
+    while len(seen) >= ENOUGH and len(np.unique(seen)) > 2:
+        low, *_, high = np.unique(seen)
+        for mark in (low, high):
+            others = seen[seen != mark]
+            beyond = max(others.min() - mark, mark - others.max())
+            edge = np.diff((seen == mark).astype(np.int8)) != 0
+            # a whole turn, more or -1 may be an angle beside others to the north
+            apart = np.abs(np.remainder(np.diff(seen)[edge] / turn + 0.5, 1.0) - 0.5) > 1.0 / 12.0
+            whole = turn * (1.0 - 1e-9)
+            times = len(seen) - len(others)
+            often = mark in (102.3, 1023.0) or times > max(RARE * len(seen), 1.0)
+            below = mark < 0.0 or (mark == 0.0 and often)
+            turned = angle and ((below and others.min() >= 0.0) or mark >= whole >= others.max())
+            turned &= (apart.mean() > 0.5 and times > 1) or abs(mark) > 13.0 / 12.0 * turn
+            far = beyond > np.ptp(others) and often
+            if far or (not angle and mark < 0.0 <= others.min()) or turned:
+                found.append(float(mark))
+                seen = others
+                break
+        else:
+            break
+    return sorted(found)
