@@ -140,7 +140,7 @@ def _clocks(
     whole = [
         n for n in left if n not in numbers and ":" in first[n] and not is_time_of_day(first[n])
     ]
-    whole += [n for n in left if n not in numbers and re.match(r"\d{8}T\d{6}", first[n])]
+    whole += [n for n in left if n not in numbers and re.match(r"\d{8}[ T_-]\d{6}", first[n])]
     whole += [n for n in named if n in numbers and re.match(r"(19|20)\d{12}(\.|$)", first[n])]
     times = [n for n in left if n not in numbers and is_time_of_day(first[n])]
     times += [n for n in named if n in numbers and n not in days and _is_hhmmss(numbers[n])]
