@@ -69,9 +69,9 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     ),
     "robust weights": ([(PLUS, "knee=0.1", "knee=1e9")], []),
     "interval scale": ([(SCALE, "if record.compared == 0.0:", "if True:")], [SCALE]),
-    "wild draws tamed": ([(FORECAST, "TAMED = (1.0, 0.5, 0.5)", "TAMED = (1.0,)")], []),
+    "wild draws tamed": ([(FORECAST, "kept = part / whole *", "kept = 1.0 *")], []),
     "parameters moved to the prior": (
-        [(FORECAST, "PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)", "PRIOR_SHRINKAGE = (1.0,)")],
+        [(FORECAST, "+ part * (begin", "+ 1.0 * (begin")],
         [],
     ),
     "error of the observer's start": ([(FORECAST, "START_WAVE = 0.3", "START_WAVE = 0.0")], []),
