@@ -69,7 +69,11 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     ),
     "robust weights": ([(PLUS, "knee=0.1", "knee=1e9")], []),
     "interval scale": ([(SCALE, "if record.compared == 0.0:", "if True:")], [SCALE]),
-    "wild draws tamed": ([(FORECAST, "TAMED = (1.0, 0.5, 0.5)", "TAMED = (1.0,)")], []),
+    "wild draws tamed": ([(FORECAST, "kept = part / whole *", "kept = 1.0 *")], []),
+    "parameters moved to the prior": (
+        [(FORECAST, "+ part * (begin", "+ 1.0 * (begin")],
+        [],
+    ),
     "error of the observer's start": ([(FORECAST, "START_WAVE = 0.3", "START_WAVE = 0.0")], []),
     "waves predicted": (
         [(FORECAST, "past_waves(known, rows, seen, out.past)", "out.past[:] = 0.0")],

@@ -32,7 +32,7 @@ from twin.model.rollout import (
     rollout_size,
 )
 from twin.model.structure import N_STATES
-from twin.predictors.forecast import PRIOR_SHRINKAGE
+from twin.predictors.forecast import SHRINKAGE
 from twin.sim.batched_twins import CompiledTwins
 from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
@@ -241,7 +241,7 @@ def plan_all(inputs, bounds, paths, config, last, plans, work):
         _copy(trial, knots)
         best = 0.0
         # an implausible model is shrunk to its prior, as in the twin's own forecast
-        for part in PRIOR_SHRINKAGE:
+        for part in SHRINKAGE:
             for k in range(theta.shape[0]):
                 prior = inputs.prior[k]
                 theta[k] = prior + part * (inputs.parameters[i, k] - prior)

@@ -44,7 +44,7 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
 __all__ = [
-    "PRIOR_SHRINKAGE",
+    "SHRINKAGE",
     "Beginning",
     "Draws",
     "Forecast",
@@ -71,18 +71,15 @@ __all__ = [
 
 Array = NDArray[Any]
 
-PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
-"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
+SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
+"""Parts of the way, tried in turn until a boat could sail so: from the prior's parameters to the
+fitted ones, and from those of the mean to those of a draw."""
 
 WAVE_GAIN = 0.25
 """The gain of the predicted waves, 1/s: half of them carry the boat to and fro, and pass."""
 
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
-
-TAMED = (1.0, 0.5, 0.5)
-"""Parts of their deviation from the mean that parameters of a wild draw keep, in turn, until a
-boat could sail it. The first is whole: that rollout has steps of its own."""
 
 _ROLLOUT = rollout_size()
 
@@ -314,7 +311,7 @@ def forecast_mean(plan, dt, begin, given, out):
     start = RolloutStart(begin.start, out.params, begin.act, begin.wind)
     waves, paths = Waves(begin.means, WAVE_GAIN), Paths(out.states, out.act)
     steps, share = 1, drive_share(out.plan, given.n_nominal, given.driven)
-    for part in PRIOR_SHRINKAGE:
+    for part in SHRINKAGE:
         for k in range(begin.params.shape[0]):
             out.params[0, k] = given.prior[k] + part * (begin.params[k] - given.prior[k])
         steps = rollout(start, out.plan, dt, given, waves, paths, out.work)
@@ -475,12 +472,15 @@ def draw_ahead(mean, mean_dt, sources, config, normal, out):
         member = slice(d, d + 1)
         start = RolloutStart(out.starts[member], out.params[member], state.act, state.wind)
         waves, paths = Waves(out.means[member], gain), Paths(out.states[member], out.act)
-        for part in TAMED:
+        whole = 1.0
+        # the first part is whole: that rollout has steps of its own
+        for part in SHRINKAGE:
             if is_plausible(out.states[d], state.fastest, given.nominal, share):
                 break
             for k in range(p):
-                kept = part * (out.params[d, k] - central.params[0, k])
+                kept = part / whole * (out.params[d, k] - central.params[0, k])
                 out.params[d, k] = central.params[0, k] + kept
+            whole = part
             rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
     for d in range(D):
         for k in range(N_STATES):

@@ -74,6 +74,17 @@ def test_rough_models_are_bounded(log, seed):
     assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
 
 
+@pytest.mark.parametrize("times", [1e2, 1e4, 1e8])
+def test_rough_parameters_claim_no_velocity_that_no_boat_has(log, times):
+    """However uncertain the parameters, what they draw is bounded as the mean is."""
+    twin = Twin(particulars_of(Vessel.load("usv75")), "dsw-ukf-plus")
+    twin.run(log.slice(0.0, 30.0))
+    twin.predictor.ukf.P[6:, 6:] *= times
+    bounds = np.maximum(1.5 * twin.predictor.ukf.fastest, twin.predictor.ukf.nominal)
+    variances = np.diagonal(twin.predict("hold").cov, axis1=1, axis2=2)[:, 3:]
+    assert (np.sqrt(variances) <= bounds).all()
+
+
 def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
     """However unstable its model: the variance of the velocity grew to (82 m/s)2 in a flight."""
     log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=100.0, seed=1)
