@@ -180,20 +180,13 @@ def test_priors_of_no_such_model_are_refused(prior: BoatPrior, boat: Particulars
 def test_saved_twins_need_no_prior_file(
     tmp_path: Path, prior: BoatPrior, boat: Particulars, log: Log
 ) -> None:
-    own = dataclasses.replace(boat, prior=prior)
-    half = len(log) // 2
-    whole, first = Twin(own), Twin(own)
-    rows = list(log)
-    for row in rows[:half]:
-        first.step(*row)
-    first.save(tmp_path / "boat.twin")
+    twin = Twin(dataclasses.replace(boat, prior=prior))
+    twin.save(tmp_path / "boat.twin")
     later = Twin.load(tmp_path / "boat.twin")
-    assert later.particulars == own
-    for row in rows:
-        whole.step(*row)
-    for row in rows[half:]:
-        later.step(*row)
-    np.testing.assert_array_equal(whole.estimate().params, later.estimate().params)
+    assert later.particulars == twin.particulars
+    for one in (twin, later):
+        one.run(log)
+    np.testing.assert_array_equal(twin.estimate().params, later.estimate().params)
 
 
 def test_only_models_of_the_same_structure_use_it(prior: BoatPrior, boat: Particulars) -> None:

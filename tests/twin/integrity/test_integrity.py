@@ -177,34 +177,6 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
     assert 0.3 < np.mean(squares) < 6.0
 
 
-def test_saved_twin_goes_on_to_the_bit(tmp_path):
-    """The file is written in the middle of a fault."""
-    log, twin, first = begun("usv75", 5)
-    twin, rows = copy.deepcopy(twin), with_faults(log, parse_faults("gyro-sign15", START_S))
-    for k in range(first, first + 100):
-        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
-    assert twin.health["gyro"].status == "excluded"
-    twin.save(tmp_path / "boat.twin")
-    other = Twin.load(tmp_path / "boat.twin")
-    assert other.health == twin.health
-    for k in range(first + 100, first + 500):
-        for one in (twin, other):
-            one.step(rows.t[k], rows.z[k], rows.cmd[k])
-    np.testing.assert_array_equal(other.monitor.memory, twin.monitor.memory)
-    np.testing.assert_array_equal(other.estimate().state, twin.estimate().state)
-
-
-def test_reset_monitor_knows_nothing():
-    log, twin, _ = begun("usv75", 5)
-    twin = copy.deepcopy(twin)
-    twin.reset()
-    fresh = Twin(twin.particulars, "ukf")
-    for row in range(200):
-        for one in (twin, fresh):
-            one.step(log.t[row], log.z[row], log.cmd[row])
-    np.testing.assert_array_equal(twin.monitor.memory, fresh.monitor.memory)
-
-
 def test_a_status_prints_as_words():
     status = SensorStatus("excluded", 88.42599987983704, "gps jumped")
     assert str(status) == "excluded since 88.4 s: gps jumped"
