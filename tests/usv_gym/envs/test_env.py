@@ -103,11 +103,7 @@ def test_without_twin_it_is_the_plain_environment() -> None:
     np.testing.assert_array_equal(with_twin.step(AHEAD)[0][:23], env.step(AHEAD)[0])
 
 
-def test_any_registered_twin_or_an_object() -> None:
-    for name in ("persistence", "ukf"):
-        env = make_env(twin=name, task="free")
-        obs, _ = env.reset(seed=0)
-        assert env.observation_space.contains(obs)
+def test_a_twin_is_named_or_an_object() -> None:
     predictor = Twin(particulars_of(make_env(twin=None).vessel), "ukf").predictor
     by_object, by_name = make_env(twin=predictor, task="free"), make_env(twin="ukf", task="free")
     for env in (by_object, by_name):
@@ -437,12 +433,12 @@ def test_success_can_be_reached_in_time() -> None:
         env.reset(seed=seed)
         done, legs, terms = False, [], []
         while not done:
-            *_, terminated, truncated, info = env.step(pilot(env.unwrapped))
+            _, reward, terminated, truncated, info = env.step(pilot(env.unwrapped))
             legs.append(info["leg"])
             terms.append(info["reward_terms"]["progress"])
             done = terminated or truncated
         assert terminated
-        assert info["is_success"]
+        assert info["is_success"] and reward > 0.0
         assert legs[-1] == 5  # the last of six
         assert np.all(np.isin(np.diff(legs), (0, 1)))
         assert np.mean(terms) > 0.8

@@ -72,11 +72,6 @@ def test_each_kind_of_path_is_what_it_says():
         assert abs(courses[0]) <= math.pi / 2.0
 
 
-def test_an_unknown_task_is_an_error_that_lists_those_there_are():
-    with pytest.raises(TaskError, match="lawnmower"):
-        make_env(task="paths", twin=None)
-
-
 @pytest.mark.parametrize("name", RATED)
 def test_rewards_of_paths_follow_from_the_true_track(name):
     """Computed a second time from the true states, leg by leg."""
@@ -147,21 +142,6 @@ def test_a_boat_on_station_succeeds_and_one_that_leaves_fails():
     *_, reward, terminated, _, info = env.step(np.zeros(2))
     assert terminated and not info["is_success"]
     assert reward < -FAILURE_COST
-
-
-def test_success_ends_a_path_without_a_penalty():
-    env = make_env(twin=None, sea="calm")
-    env.reset(seed=0)
-    env.task.records["leg"][0] = len(env.task.points[0]) - 2  # on the last leg, 20 m before its end
-    a, b = env.task.points[0, -2:]
-    along = (b - a) / np.hypot(*(b - a))
-    env.simulation.state[0, :2] = b - 20.0 * along
-    env.simulation.state[0, 5] = math.atan2(*along[::-1])
-    for _ in range(100):
-        _, reward, terminated, _, info = env.step(np.array([0.8, 0.0]))
-        if terminated:
-            break
-    assert terminated and info["is_success"] and reward > 0.0
 
 
 def test_a_decision_of_ten_steps_is_ten_steps():
@@ -361,33 +341,6 @@ def test_observation_sets_that_cannot_be_say_so():
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
     with pytest.raises(ValueError, match="frame_skip = 0"):
         make_env(frame_skip=0)
-
-
-@pytest.mark.parametrize("observation", OBSERVATIONS)
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_batches_are_single_environments_with_decisions_of_several_steps(observation, mode):
-    """Gymnasium's own vector over single environments, through ends, faults and drawn seas."""
-    options = {
-        **{"observation": observation, "twin": "ukf", "frame_skip": 10, "sea": "calm|3"},
-        **{"faults": "none|gps3@2", "max_episode_steps": 30, "dof": dof_of(observation)},
-    }
-    native = gym.make_vec("USVTwin-v0", num_envs=3, autoreset_mode=mode, **options)
-    single = gym.vector.SyncVectorEnv(
-        [lambda: gym.make("USVTwin-v0", **options)] * 3,
-        autoreset_mode=gym.vector.AutoresetMode(mode),
-    )
-    np.testing.assert_array_equal(native.reset(seed=4)[0], single.reset(seed=4)[0])
-    ends = 0
-    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (100, 3, 2)):
-        # two boats sail hard to one side, and fail
-        action[:2] = [1.0, 0.3]
-        a, b = native.step(action), single.step(action)
-        for ours, theirs in zip(a[:4], b[:4], strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-        for name, values in b[4]["reward_terms"].items():
-            np.testing.assert_array_equal(a[4]["reward_terms"][name], values)
-        ends += int(a[2].sum())
-    assert ends
 
 
 def test_processes_of_their_own_give_the_same_bits():

@@ -91,20 +91,6 @@ def test_infos_say_what_was_drawn_where_an_episode_begins() -> None:
     assert infos["drawn"]["faults"][1] is None and "drawn" not in infos["final_info"]
 
 
-def test_infos_of_gymnasiums_vector_environment_are_equal() -> None:
-    options = {**ALL, "twin": None, "frame_skip": 10, "max_episode_steps": 3}
-    theirs = gym.make_vec("USVTwin-v0", 2, vectorization_mode="sync", **options)
-    ours = gym.make_vec("USVTwin-v0", 2, **options)
-    found = [envs.reset(seed=3)[1]["drawn"] for envs in (theirs, ours)]
-    for _ in range(4):
-        infos = [envs.step(np.zeros((2, 2)))[-1] for envs in (theirs, ours)]
-    found += [info["drawn"] for info in infos]
-    for one, other in (found[:2], found[2:]):
-        assert set(one) == set(other)
-        for key in one:
-            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
-
-
 def test_drawn_numbers_are_those_of_the_simulated_boat() -> None:
     env = USVEnv(**ALL)
     for seed in range(5):
