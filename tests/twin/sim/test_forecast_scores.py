@@ -11,7 +11,6 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin.benchmark.scores import CHANNELS, score
 from twin.digital_twin import Twin
-from twin.sim import batched_twins
 from twin.sim.bridge import particulars_of
 from twin.sim.forecast_scores import HORIZONS, NAMES, ForecastScores
 from twin.sim.wrapper import log_of, make_env, make_vector_env
@@ -83,14 +82,6 @@ def test_scores_equal_those_of_the_benchmark_on_the_log(twin, frame_skip):
     again = Twin(particulars_of(env.vessel, env.simulation.suite), twin)
     found = scores_of(log_of(env), again, frame_skip)
     assert_equal(info, found, twin == "dsw-ukf-plus")
-
-
-@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
-def test_compiled_scores_equal_those_of_separate_twins(twin, monkeypatch):
-    ours = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
-    monkeypatch.setattr(batched_twins, "_COMPILED", {})
-    theirs = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
-    assert dict(ours) == pytest.approx(dict(theirs), rel=1e-6)
 
 
 def test_coverage_counts_only_forecasts_with_new_standard_deviations():

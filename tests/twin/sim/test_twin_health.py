@@ -9,7 +9,6 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
 from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
-from twin.sim import batched_twins
 from twin.sim.twin_observation import HEALTH_OBSERVATION, TWIN_OBSERVATION
 from twin.sim.wrapper import log_of, make_env
 from usv_gym.envs.episodes import OBSERVATION
@@ -87,17 +86,6 @@ def test_an_episode_begins_with_sensors_that_are_trusted(name):
         env.step(np.zeros(env.action_space.shape))
         twin = env.twin(0) if isinstance(env, gym.vector.VectorEnv) else env.twin
         assert (twin.begun, twin.health["gyro"].since) == (0.0, 0.0)
-
-
-def test_twins_asked_one_by_one_see_the_same_health(monkeypatch):
-    compiled = make_env(twin="ukf", observation="twin_health", **OPTIONS)
-    ours = sail(compiled)[0]
-    monkeypatch.setattr(batched_twins, "_COMPILED", {})
-    separate = make_env(twin="ukf", observation="twin_health", **OPTIONS)
-    theirs = sail(separate)[0]
-    assert isinstance(separate.observer, batched_twins.SeparateTwins)
-    assert compiled.twin.health == separate.twin.health
-    np.testing.assert_array_equal(ours[-len(SENSORS) :], theirs[-len(SENSORS) :])
 
 
 def test_twin_health_says_how_far_each_sensor_is_trusted():
