@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
+from twin import PREDICTORS, Twin, TwinError, make_predictor
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import known_plan
 from twin.predictors.base import Prediction
@@ -34,17 +34,10 @@ def twin_for(name, boat) -> Twin:
     return Twin(boat, name, seed=3, **OPTIONS.get(name, {}))
 
 
-def feed(twin: Twin, log: Log, rows: int) -> None:
-    for k, (t, z, cmd) in enumerate(log):
-        if k >= rows:
-            break
-        twin.step(t, z, cmd)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_state_is_estimated_within_bounds(name, zigzag, boat):
     twin = twin_for(name, boat)
-    feed(twin, zigzag, 800)
+    twin.run(zigzag.slice(t1=zigzag.t[800]))
     estimate = twin.estimate()
     assert estimate.ready and estimate.t == zigzag.t[799]
     # the error is that of the receiver's bias, and small in velocity and yaw rate
@@ -60,7 +53,7 @@ def test_estimate_recovers_after_losses(name, zigzag, boat):
     """All sensors lost for minutes, then gaps and extreme numbers: finite, then accurate again."""
     twin = twin_for(name, boat)
     rng, size = np.random.default_rng(1), len(MEASUREMENTS)
-    feed(twin, zigzag, 600)
+    twin.run(zigzag.slice(t1=zigzag.t[600]))
     t = twin.t
     for k in range(600):
         t += 0.5 if k % 50 else 30.0
@@ -120,7 +113,7 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     """Damping and thrust get the signs of a ship, and no standard deviation grows."""
     twin = twin_for("ukf", boat)
     prior = twin.estimate()
-    feed(twin, zigzag, len(zigzag))
+    twin.run(zigzag)
     last = twin.estimate()
     named = dict(zip(twin.predictor.parameter_names, last.params, strict=True))
     assert max(named[name] for name in ("X_uu", "Y_v", "N_r")) < 0.0
@@ -134,12 +127,12 @@ def test_gps_loss_is_dead_reckoned(zigzag, boat):
     z[800:1000, :4] = math.nan
     lost = dataclasses.replace(zigzag, z=z)
     twin = twin_for("ukf", boat)
-    feed(twin, lost, 1000)
+    twin.run(lost.slice(t1=lost.t[1000]))
     # the study: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
     assert np.hypot(*(twin.estimate().state - zigzag.truth[999])[:2]) < 4.0
     sd = twin.estimate().sd[0]
     unhurt = twin_for("ukf", boat)
-    feed(unhurt, zigzag, 1000)
+    unhurt.run(zigzag.slice(t1=zigzag.t[1000]))
     assert sd > unhurt.estimate().sd[0]
 
 
@@ -203,7 +196,7 @@ def test_unknown_predictor_is_named(boat):
 )
 def test_bad_rows_are_refused(boat, zigzag, t, z, cmd, message):
     twin = twin_for("ukf", boat)
-    feed(twin, zigzag, 10)
+    twin.run(zigzag.slice(t1=zigzag.t[10]))
     before = twin.estimate()
     with pytest.raises(TwinError, match=message):
         twin.step(t, z, cmd)
