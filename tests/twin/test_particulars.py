@@ -218,7 +218,6 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
     ("old", "new", "words"),
     [
         ("mass = 2300", "mass = -1", "mass = -1 must be above 0"),
-        ("mass = 2300", "mass = nan", "mass = nan is not a finite number"),
         ("mass = 2300", "mass = '2300 kg'", "mass = '2300 kg' must be a number"),
         ("mass = 2300", "mass = [1]", "mass = [1] must be a number"),
         ("mass = 2300", "mass = true", "mass = True must be a number"),
@@ -235,11 +234,6 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
         ("mass = 2300", "mass = ", "is not valid TOML"),
         ("mass = 2300", "mass = 2300\n[instruments]\nradar = 1", "unknown key 'radar'; known keys"),
         ("shaft_speed = 17.0", "shaft_speed = 17.0\n[instruments]\ngps_sd = 0", "gps_sd = 0 must"),
-        (
-            "shaft_speed = 17.0",
-            "shaft_speed = 17.0\n[instruments]\ngps_arm = [1]",
-            "gps_arm = [1] must be three finite numbers",
-        ),
     ],
 )
 def test_mistakes_in_a_file_are_named(tmp_path: Path, old: str, new: str, words: str) -> None:

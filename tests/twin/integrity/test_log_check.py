@@ -17,6 +17,7 @@ from tests.twin.integrity.damaged import (
     FAULTS,
     FIX,
     RUNS,
+    SHAFTS,
     TILTED,
     VELOCITY,
     columns_of,
@@ -26,6 +27,7 @@ from tests.twin.integrity.damaged import (
     scaled,
     sound,
     step_aside,
+    swapped,
     without,
 )
 from twin.channels import COMMANDS, MEASUREMENTS
@@ -48,28 +50,24 @@ def finding(check: LogCheck, code: str) -> Finding:
 
 
 SOUND = (
-    ("usv75", "zigzag", 0.5),
-    ("usv75", "random", 1.0),
-    ("usv75", "straight", 0.3),
-    ("otter", "random", 0.0),
-    ("otter", "zigzag", 0.2),
-    ("wamv16", "turn", 0.2),
-    ("kvlcc2_l7", "zigzag", 0.0),
+    ("usv75", "zigzag", 0.5, 3),
+    ("usv75", "random", 1.0, 3),
+    ("usv75", "straight", 0.3, 3),
+    ("otter", "random", 0.0, 3),
+    ("otter", "zigzag", 0.2, 3),
+    ("wamv16", "turn", 0.2, 3),
+    ("kvlcc2_l7", "zigzag", 0.0, 3),
+    ("usv75", "heading135", 0.5, 6),
+    ("otter", "random", 0.5, 6),
 )
 
 
-@pytest.mark.parametrize(("vessel", "scenario", "hs"), SOUND)
-def test_sound_logs_have_no_finding(vessel: str, scenario: str, hs: float) -> None:
-    log, boat = sound(vessel, scenario, hs)
+@pytest.mark.parametrize(("vessel", "scenario", "hs", "dof"), SOUND)
+def test_sound_logs_have_no_finding(vessel: str, scenario: str, hs: float, dof: int) -> None:
+    log, boat = sound(vessel, scenario, hs, dof=dof)
     assert serious(check_recording(recording(log), boat)) == set()
     poor = recording(log, without(*VELOCITY, "gyro_radps", "accel_x_mps2", "accel_y_mps2"))
     assert serious(check_recording(poor)) == set()
-
-
-@pytest.mark.parametrize(("vessel", "scenario"), [("usv75", "heading135"), ("otter", "random")])
-def test_sound_logs_of_six_degrees_have_no_finding(vessel: str, scenario: str) -> None:
-    log, boat = sound(vessel, scenario, 0.5, dof=6)
-    assert serious(check_recording(recording(log), boat)) == set()
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -360,11 +358,7 @@ def test_stalls_of_the_otter_are_named() -> None:
 @pytest.mark.parametrize("run", ["blueboat_223", "blueboat_225", "blueboat_234"])
 def test_swapped_sides_of_the_blueboat_are_named(run: str) -> None:
     """Its source has left and right swapped; the runs are put right."""
-
-    def swap(data: dict[str, np.ndarray]) -> None:
-        data["n_left_rps"], data["n_right_rps"] = data["n_right_rps"], data["n_left_rps"]
-
-    assert "sides:commands" in serious(checked("blueboat_trondheim", run, swap))
+    assert "sides:commands" in serious(checked("blueboat_trondheim", run, swapped(*SHAFTS)))
 
 
 # --- what turns a verdict ------------------------------------------------------------------------
