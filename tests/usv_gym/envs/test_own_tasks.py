@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.scoring import ALONGSIDE, FAILURE_COST, TaskError
 from usv_gym.envs.tasks import Docking, PathFollowing, Score, Task
-from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.physics import frames as fr
 from usv_kernel.errors import UsvTwinError
 
@@ -47,42 +44,6 @@ def orbit(monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     yield "orbit_task:Orbit"
     sys.modules.pop("orbit_task", None)
-
-
-@settings(max_examples=8, deadline=None)
-@given(
-    seed=st.integers(0, 2**31),
-    mode=st.sampled_from(["NextStep", "SameStep"]),
-    task=st.sampled_from([Line, "docking", "path"]),
-    vessel=st.sampled_from(["usv75", "usv75|otter"]),
-)
-def test_single_and_vector_rate_the_same(seed, mode, task, vessel) -> None:
-    options = {
-        "task": task,
-        "frame_skip": 7,
-        "vessel": vessel,
-        "vessel_spread": 0.2,
-        "reward_weights": {"change": 2.0} if task is Line else {"effort": 0.5},
-    }
-    env = USVEnv(**options)
-    envs = USVVectorEnv(4, max_episode_steps=30, autoreset_mode=mode, **options)
-    obs = envs.reset(seed=seed)[0]
-    own, over, rng = env.reset(seed=seed + 2)[0], False, np.random.default_rng(seed)
-    for count in range(80):
-        np.testing.assert_array_equal(own, obs[2])
-        actions = np.stack([np.ones(4), rng.uniform(-0.3, 0.3, 4)], axis=1)
-        obs, rewards, ended, cut, infos = envs.step(actions)
-        if over:  # the step after the end is the reset
-            own, over = env.reset()[0], False
-            continue
-        own, reward, terminated, _, info = env.step(actions[2])
-        assert (reward, terminated) == (rewards[2], ended[2]), count
-        infos = infos["final_info"] if mode == "SameStep" and (ended[2] or cut[2]) else infos
-        terms = {name: infos["reward_terms"][name][2] for name in info["reward_terms"]}
-        assert info["reward_terms"] == terms and info["is_success"] == infos["is_success"][2]
-        if ended[2] or cut[2]:
-            own, over = (own, True) if mode == "NextStep" else (env.reset()[0], False)
-    envs.close()
 
 
 def test_rewards_of_an_own_task_are_what_its_file_says() -> None:

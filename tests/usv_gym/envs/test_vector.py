@@ -54,17 +54,28 @@ def same(a, b):
         np.testing.assert_array_equal(a, b)
 
 
-def decisions(observation):
+def decisions(observation, **others):
     """Return options of an observation set, with decisions of ten steps in worlds that differ."""
     dof = 6 if observation == "twin_attitude" else 3
     short = {"frame_skip": 10, "max_episode_steps": 30}
-    return {"observation": observation, "twin": "ukf", "dof": dof, **short, **DRAWN}
+    return {"observation": observation, "twin": "ukf", "dof": dof, **short, **DRAWN, **others}
+
+
+OTTER = {"twin": None, "vessel": "otter", "actions": "units"}
+OTTER["sea"] = SeaState(hs=0.6, wind=6.0, wind_sd=1.0, spreading=2.0, current=0.4)
+OTTER["faults"] = [Fault("gps", start=1.0, duration=1.0)]
+CASES = [
+    *({"twin": twin} for twin in TWINS),
+    *({**OTTER, "dof": dof} for dof in (3, 6)),
+    *map(decisions, OBSERVATIONS),
+    *(decisions("twin", twin=twin) for twin in ("dsw-ukf-plus", "var")),
+    decisions("twin", vessel="usv75|otter"),
+    decisions("twin_health", vessel="usv75|otter", twin="persistence"),
+]
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize(
-    "options", [*({"twin": twin} for twin in TWINS), *map(decisions, OBSERVATIONS)]
-)
+@pytest.mark.parametrize("options", CASES)
 def test_it_is_gymnasiums_own_over_single_environments(options, mode):
     """Observations, rewards, ends and infos, over whole episodes with faults and resets."""
     native = natives(autoreset_mode=mode, **options)
@@ -83,22 +94,6 @@ def test_it_is_gymnasiums_own_over_single_environments(options, mode):
         ends += int((ours[2] | ours[3]).sum())
         failures += int(ours[2].sum())
     assert ends >= 2 * N and (failures or "frame_skip" not in options)
-
-
-@pytest.mark.parametrize("dof", [3, 6])
-def test_every_kind_of_boat_and_sea_is_the_single_one(dof):
-    sea = SeaState(hs=0.6, wind=6.0, wind_sd=1.0, spreading=2.0, current=0.4)
-    options = {"twin": None, "dof": dof, "sea": sea, "vessel": "otter", "actions": "units"}
-    options["faults"] = [Fault("gps", start=1.0, duration=1.0)]
-    native, alone = natives(**options), singles(**options)
-    width = native.single_action_space.shape[0]
-    obs, _ = native.reset(seed=[7, 9, 8])
-    for i, (env, seed) in enumerate(zip(alone, [7, 9, 8], strict=True)):
-        np.testing.assert_array_equal(obs[i], env.reset(seed=seed)[0])
-    for action in actions(80, width=width):
-        obs = native.step(action)[0]
-        for i, env in enumerate(alone):
-            np.testing.assert_array_equal(obs[i], env.step(action[i])[0])
 
 
 @pytest.mark.parametrize("twin", [None, "ukf", "dsw-ukf-plus"])
