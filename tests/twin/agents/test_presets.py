@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
 
+from tests.twin.agents.test_training import SMALL, same
 from tests.twin.cli.command import run as command
 from twin.agents import training
 from twin.agents.controllers import LOS, make_controller
@@ -21,12 +22,11 @@ from twin.agents.residual import ResidualVecEnv, ScaledReward
 from twin.agents.training import Plan, train
 from usv_gym.envs.sb3 import SB3VecEnv
 
-TINY = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
 LAST = {"max_episode_steps": 12, "sea": "2", "faults": "none"}
 
 
 def tiny(algo="ppo", **changes):
-    return hyperparameters(algo) | TINY | changes
+    return hyperparameters(algo) | SMALL["ppo"] | changes
 
 
 def learner(tmp_path, algo="ppo", hyper=None, **options):
@@ -39,11 +39,6 @@ def run(folder, algo="ppo", hyper=None, **options):
     plan = Plan(algo, **{"observation": "compact", "steps": 128, "every": 64, **LAST, **options})
     given = tiny(algo) if hyper is None else hyper
     return train(plan, folder, hyper=given, curve_seeds=(1, 2), num_threads=num_threads)
-
-
-def same(a: Policy, b: Policy) -> bool:
-    pairs = zip(a.layers, b.layers, strict=True)
-    return all(np.array_equal(x, y) for one, two in pairs for x, y in zip(one, two, strict=True))
 
 
 # ------------------------------------------------- corrections of a controller

@@ -73,20 +73,6 @@ def test_an_own_task_is_found_by_module_and_class(orbit) -> None:
     assert tuple(terms) == ("progress", "distance", "effort", "failure")
 
 
-def test_an_own_task_ends_all_steps_of_a_decision() -> None:
-    """A decision of many steps stops where the task ends, as with those of the package."""
-    fine, coarse = (USVEnv(task=Line, sea="2", frame_skip=k) for k in (1, 50))
-    rewards = []
-    for env in (fine, coarse):
-        env.reset(seed=3)
-        total, terminated = 0.0, False
-        while not terminated:
-            _, reward, terminated, _, info = env.step([0.8, 0.0])
-            total += reward
-        rewards.append((total, info["t_s"]))
-    assert rewards[0] == pytest.approx(rewards[1])
-
-
 WRONG_TASKS = {
     "shape": {"path": lambda self, rng: np.zeros((3, 2))},
     "must draw its path": {},
@@ -229,24 +215,24 @@ class Short(Line):
         return Score(score.terms, over, over)
 
 
-@pytest.mark.parametrize("task", [Short, "path"])
-def test_the_last_observation_is_of_the_step_that_ends_the_episode(task) -> None:
-    """Steps of ten and of one control step see the same, but for what is new since the last."""
+@pytest.mark.parametrize("task", [Short, Line, "path"])
+def test_a_decision_ends_with_the_step_that_ends_the_episode(task) -> None:
+    """Decisions of ten steps and of one get the same, but for what is new since the last."""
     seen = []
     for frames in (10, 1):
         env = USVEnv(task=task, sea="2", frame_skip=frames)
         env.reset(seed=3)
-        over, k = False, 0
+        over, k, total = False, 0, 0.0
         while not over:  # straight on leaves the path
-            obs, _, over, _, info = env.step([1.0, 0.0])
-            k += 1
+            obs, reward, over, _, info = env.step([1.0, 0.0])
+            k, total = k + 1, total + reward
             assert k < 20000
         names = env.unwrapped.observation_names
         kept = [j for j, name in enumerate(names) if not name.endswith("_valid")]
-        seen.append((obs[kept], info["t_s"]))
+        seen.append((obs[kept], info["t_s"], total))
         env.close()
     np.testing.assert_array_equal(seen[0][0], seen[1][0])
-    assert seen[0][1] == seen[1][1]
+    assert seen[0][1:] == pytest.approx(seen[1][1:])
 
 
 class Legs(PathFollowing):

@@ -12,7 +12,7 @@ import pytest
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from tests.twin.live.ui.test_viewer import setup, wait  # noqa: E402
+from tests.twin.live.wire import setup, wait  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
 from twin.live.ui import server  # noqa: E402
 from twin.live.ui.access import AccessError  # noqa: E402
