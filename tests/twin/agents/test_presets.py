@@ -96,43 +96,28 @@ def test_a_saved_residual_acts_as_in_its_training(tmp_path):
     found.envs.close()
 
 
-def test_a_controller_forgets_a_boat_where_its_episode_ends():
-    boats = corrected(3, max_episode_steps=50, sea="4")
-    boats.set_options({"first_episode_steps": np.array([8, 50, 9])})
-    boats.seed(1)
-    boats.reset()
-    for k in range(9):
-        before = boats.base._drift.copy()
-        seen, _, dones, infos = boats.step(np.zeros((3, 2)))
-        assert dones.tolist() == [k == 7, False, k == 8]
-        for i in np.flatnonzero(dones):
-            last = infos[i]["terminal_observation"]
-            assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
-            fresh = LOS("los-twin", "twin", "twin_")
-            fresh.begin(boats.envs)
-            fresh.act(boats.envs._shown())
-            assert boats.base._drift[i] == fresh._drift[i] != before[i]
-            assert boats.base._drift[1] != fresh._drift[1]
-    boats.close()
-
-
-def test_plans_of_a_boat_are_forgotten_where_its_episode_ends(tmp_path):
-    found = learner(tmp_path, "ppo-mpc")
+@pytest.mark.parametrize(
+    ("algo", "base", "memory"),
+    [("ppo-residual", "los-twin", "_drift"), ("ppo-mpc", "mpc-steady", "_plans")],
+)
+def test_a_controller_forgets_a_boat_where_its_episode_ends(tmp_path, algo, base, memory):
+    found = learner(tmp_path, algo, sea="4")
     boats = found.envs.venv.venv
-    base = boats.base
     boats.set_options({"first_episode_steps": np.array([8, 12, 9, 12])})
     boats.seed(1)
     boats.reset()
     for k in range(9):
-        _seen, _, dones, infos = boats.step(np.full((4, 2), 0.1))
+        seen, _, dones, infos = boats.step(np.full((4, 2), 0.1))
         assert dones.tolist() == [k == 7, False, k == 8, False]
         for i in np.flatnonzero(dones):
-            assert infos[i]["terminal_observation"].shape == (16,)
-            fresh = make_controller("mpc-steady")
+            last = infos[i]["terminal_observation"]
+            assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
+            fresh = make_controller(base)
             fresh.begin(boats.envs)
             fresh.act(boats.envs._shown())
-            np.testing.assert_array_equal(base._plans[i], fresh._plans[i])
-            assert not np.array_equal(base._plans[1], fresh._plans[1])
+            held, new = getattr(boats.base, memory), getattr(fresh, memory)
+            np.testing.assert_array_equal(held[i], new[i])
+            assert not np.array_equal(held[1], new[1])
     found.envs.close()
 
 
