@@ -17,7 +17,7 @@ from usv_gym import Fault
 from usv_gym.physics import frames as fr
 
 
-@pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "persistence"])
+@pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "dsw-ukf-plus", "persistence"])
 def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndarray]]:
     """Return an environment after 40 s with a loss, and the estimates of its twin on the way."""
     env = make_env(twin=request.param, task="free", record=True, faults=[Fault("gps", 20.0, 10.0)])
@@ -47,6 +47,8 @@ def test_the_wrapper_estimates_as_a_twin_on_the_log_on_disk(sailed: Any, tmp_pat
         assert (other.t, other.ready) == (estimate.t, estimate.ready)
         for name in ("state", "sd", "params", "params_sd"):
             np.testing.assert_array_equal(getattr(other, name), getattr(estimate, name))
+    np.testing.assert_array_equal(twin.monitor.memory, env.twin.monitor.memory)
+    assert (twin.health, twin.notes) == (env.twin.health, env.twin.notes) and twin.notes
 
 
 def test_the_log_holds_what_the_sensors_said_and_the_truth(sailed: Any) -> None:
