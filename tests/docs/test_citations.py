@@ -1,7 +1,5 @@
 """What docstrings cite exists: each page, each section of it, and no specification file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Files of any bytes: each loads, or gives one sentence that names the file."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

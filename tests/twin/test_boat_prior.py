@@ -1,7 +1,5 @@
 """A boat's own prior: how runs are combined, its file, and what it is worth."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -1,7 +1,5 @@
 """Saved twins: fields by name, the same bits after a load, and a sentence for every other file."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

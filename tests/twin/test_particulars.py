@@ -1,7 +1,5 @@
 """Particulars survive their own file, and every mistake in one is named with its remedy."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

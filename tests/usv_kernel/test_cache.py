@@ -1,7 +1,5 @@
 """Disk cache of kernels: an edit of a source recompiles every caller of it."""
 
-from __future__ import annotations
-
 import ast
 import gc
 import io

@@ -1,7 +1,5 @@
 """What a training may be given: a controller to correct, weights of rewards, entries, threads."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

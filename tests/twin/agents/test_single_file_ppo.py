@@ -1,7 +1,5 @@
 """The example of PPO in one file learns, and writes what it learned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

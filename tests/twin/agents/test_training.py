@@ -1,7 +1,5 @@
 """Training: reproducible, resumable, and a policy file that is what was trained."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Late fusion: the formula, accuracy in a turn, losses of sensors, bad input."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

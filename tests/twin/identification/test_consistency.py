@@ -6,8 +6,6 @@ Kirubarajan 2001, section 5.4. Each test has its counterpart with a filter that 
 noise: it must fall outside.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults are named soon at every rate, sound sensors stay, and the estimate is as without one."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

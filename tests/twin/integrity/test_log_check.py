@@ -1,7 +1,5 @@
 """Each fault that is put into a sound log is named, and a sound log has none."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

@@ -1,7 +1,5 @@
 """The apparent wind in a twin: what it makes of it, and that faults of an anemometer do no harm."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

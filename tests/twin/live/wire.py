@@ -1,7 +1,5 @@
 """What the tests of live feeds and views share: a wire without waiting, and a view."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os

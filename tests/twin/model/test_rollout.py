@@ -1,7 +1,5 @@
 """Motion of the twin's models: one step, points of the filter, the paper's numbers, prediction."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Forecasts use no later row, exist for every plan, and change nothing; for each of PREDICTORS."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The paper's method: each of its pieces can be switched, and does what it should alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

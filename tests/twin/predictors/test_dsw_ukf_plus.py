@@ -1,7 +1,5 @@
 """DSW-UKF+: its window, its clock, and that it predicts something finite whatever comes."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The contract of every predictor in the registry, and what single ones must do."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Twins in one compiled call say what the same twins say one by one."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The scores in ``info`` are those that the benchmark's definitions give on the episode's log."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Twins of boats that differ: they know the class, never the boat."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Observations made to order: lists of entries, and the compact sets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

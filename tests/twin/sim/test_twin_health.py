@@ -1,7 +1,5 @@
 """Sensor checks in environments: what is shown of them, and that each episode begins anew."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

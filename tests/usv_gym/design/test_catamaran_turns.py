@@ -1,7 +1,5 @@
 """Drafts of catamarans with fixed thrusters turn as published and recorded boats do."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

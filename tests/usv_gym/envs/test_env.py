@@ -1,7 +1,5 @@
 """The environment: its API, its errors, its determinism, and that the twin sees no truth."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import Any

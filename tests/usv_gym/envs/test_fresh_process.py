@@ -1,7 +1,5 @@
 """What a fresh process imports."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

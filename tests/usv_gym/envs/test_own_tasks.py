@@ -1,7 +1,5 @@
 """Tasks of one's own, weights of the reward, and docking."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episodes as logs, and twins on them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tasks: their paths, rewards and ends, computed a second time from the true track."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import warnings

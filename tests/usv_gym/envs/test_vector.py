@@ -1,7 +1,5 @@
 """The native vector environment: each element is the single environment, to the bit."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import threading

@@ -1,7 +1,5 @@
 """Worlds that differ: what is drawn, what of it is shown, and that one boat is as in many."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Propulsion: the three kinds against closed forms, through every zero, and mirrored."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

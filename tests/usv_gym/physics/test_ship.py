@@ -1,7 +1,5 @@
 """The ship: symmetries, limits, order of the integrator."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Motions in waves beside a boundary-element code and Jensen's closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Vessels whose motion runs away are found and refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from importlib import resources

@@ -7,8 +7,6 @@ reason in the change log, that of a registered id a new id or a fix; then write 
     PYTHONPATH=. python tests/usv_gym/vessel/test_vessel.py
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """The real ArduRover on our boats: ``pytest -m ardupilot`` with its path in USV_TWIN_ARDUROVER."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs behind a view: simulated, recorded and fed."""
 
-from __future__ import annotations
-
 import errno
 import math
 import time

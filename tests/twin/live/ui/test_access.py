@@ -1,7 +1,5 @@
 """Which HTTP requests and WebSockets a view answers."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import socket

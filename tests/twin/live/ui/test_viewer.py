@@ -1,7 +1,5 @@
 """The view in a real browser, with many browsers, and from the command line."""
 
-from __future__ import annotations
-
 import math
 import re
 import signal

@@ -1,7 +1,5 @@
 """What holds of each learner: it looks only back, and no past makes its forecasts run away."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

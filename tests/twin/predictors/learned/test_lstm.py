@@ -1,7 +1,5 @@
 """The LSTM: learns, repeats itself, looks only back, survives bad input, says what is missing."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

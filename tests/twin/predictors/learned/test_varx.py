@@ -1,7 +1,5 @@
 """The autoregression: finds a linear boat, refits, looks only back, survives bad input."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
