@@ -20,7 +20,8 @@ from twin.model.dynamics import model_of
 from twin.model.priors import population_prior
 from twin.predictors.baselines import Persistence
 from twin.predictors.ukf import UKFPredictor
-from usv_gym import SeaState
+from twin.sim.bridge import particulars_of
+from usv_gym import SeaState, Vessel
 from usv_kernel.channels import GYRO
 
 STOPS = (0, 7, 430, 533, 650)
@@ -87,9 +88,14 @@ def test_restored_twin_gives_the_same_bits(name, make_twin, losses, tmp_path):
     same(make_twin(name), twin)
 
 
+USV75 = particulars_of(Vessel.load("usv75"))
+PRIOR = population_prior(model_of(USV75, "mmg", biased=True, current=True), USV75)
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
+        ("dsw-ukf-plus", {"prior": (PRIOR[0], 2.0 * PRIOR[1])}),
         ("dsw-ukf", {"adapt": "signed", "p0": np.full(31, 0.5)}),
         ("dsw-ukf-plus", {"model": "mmg", "period": 2.0}),
     ],
@@ -103,17 +109,6 @@ def test_options_and_particulars_are_restored(boat, losses, tmp_path, name, opti
     assert again.particulars == twin.particulars
     for one in (twin, again):
         feed(one, losses, 100, 200)
-    same(twin, again)
-
-
-def test_a_prior_given_as_option_is_restored(boat, losses, tmp_path):
-    structure = model_of(boat, "mmg", biased=True, current=True)
-    mean, covariance = population_prior(structure, boat)
-    twin = Twin(boat, "dsw-ukf-plus", prior=(mean, 2.0 * covariance))
-    twin.save(tmp_path / "a")
-    again = Twin.load(tmp_path / "a")
-    for one in (twin, again):
-        feed(one, losses, 0, 100)
     same(twin, again)
 
 

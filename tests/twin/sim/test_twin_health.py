@@ -30,21 +30,15 @@ def sail(env, seed=1, steps=STEPS):
     return obs, info
 
 
-def feed(twin, log, first=0):
-    """Feed a twin with the rows of a log."""
-    for k in range(first, len(log)):
-        twin.step(log.t.item(k), log.z[k], log.cmd[k])
-
-
 def test_a_copy_of_a_boats_twin_goes_on_as_the_boats_own():
     envs = gym.make_vec("USVTwin-v0", num_envs=2, twin="ukf", **OPTIONS)
     sail(envs, steps=540)  # the gyro is left out
-    copy, taken = envs.unwrapped.twin(0), 541
+    copy = envs.unwrapped.twin(0)
     assert copy.health["gyro"].status == "excluded"
     assert copy.health["gyro"].since == pytest.approx(24.0, abs=4.0)
     for _ in range(100):
         envs.step(np.zeros(envs.action_space.shape))
-    feed(copy, log_of(envs, boat=0), taken)
+    copy.run(log_of(envs, boat=0).slice(27.025))
     np.testing.assert_array_equal(copy.monitor.memory, envs.unwrapped.twin(0).monitor.memory)
     envs.close()
 

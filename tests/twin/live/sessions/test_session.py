@@ -225,13 +225,10 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
         np.testing.assert_allclose(now.overlay.ahead, mean)
         later = log.slice(now.t + 1e-6, now.t + HORIZON + 1e-6)
         np.testing.assert_array_equal(now.ahead, later.truth[:, :2])
-        np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], twin_row(log, now.t))
+        row = np.argmin(np.abs(log.t - now.t))
+        np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], log.truth[row, :2])
         assert session.history().t[-1] <= t + 1e-6
     session.stop()
-
-
-def twin_row(log: Log, t: float) -> np.ndarray:
-    return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
 
 
 def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.particulars import Particulars
-from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
+from twin.predictors.baselines import GRID, HistoryPredictor, Persistence, hold_velocity
 from twin.predictors.learned.features import integrate, lagged, thrust_features
 from twin.predictors.learned.lstm import LSTMPredictor
 from twin.predictors.learned.varx import VARPredictor
@@ -64,6 +64,18 @@ def ask(predictor: HistoryPredictor, rows: np.ndarray, origins: np.ndarray) -> n
     """Return forecasts over the horizon under the commands that followed."""
     ahead = origins[:, None] + np.arange(1, HORIZON + 1)
     return np.asarray(predictor.forecast(rows, origins, rows[ahead, 6:10]))
+
+
+def assert_beats_persistence(
+    predictor: HistoryPredictor, rows: np.ndarray, origins: np.ndarray, share: float
+) -> None:
+    """Check that the mean error of each state is below a share of that of held velocities."""
+    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
+    ours, held = (
+        np.abs(ask(one, rows, origins) - truth).mean(axis=(0, 1))
+        for one in (predictor, Persistence(predictor.particulars))
+    )
+    assert (ours < share * held).all(), (ours, held)
 
 
 each_learner = pytest.mark.parametrize("learn", [fitted, trained])

@@ -8,9 +8,16 @@ import sys
 import numpy as np
 import pytest
 
-from tests.twin.predictors.learned.test_learners import BOAT, HORIZON, ask, history, trained
+from tests.twin.predictors.learned.test_learners import (
+    BOAT,
+    HORIZON,
+    ask,
+    assert_beats_persistence,
+    history,
+    trained,
+)
 from twin.channels import MEASUREMENTS
-from twin.predictors.baselines import GRID, Persistence, hold_velocity
+from twin.predictors.baselines import GRID, hold_velocity
 from twin.predictors.learned.lstm import LSTMPredictor, MissingTorch
 
 DT = 0.25
@@ -35,12 +42,7 @@ def net() -> LSTMPredictor:
 
 def test_learns_a_simple_boat(net: LSTMPredictor) -> None:
     """On rows after the training it is far better than holding the velocities."""
-    rows = history()
-    origins = np.arange(245, 400 - HORIZON, 4)
-    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
-    ours = np.abs(ask(net, rows, origins) - truth).mean(axis=(0, 1))
-    held = np.abs(ask(Persistence(BOAT), rows, origins) - truth).mean(axis=(0, 1))
-    assert (ours < 0.5 * held).all(), (ours, held)
+    assert_beats_persistence(net, history(), np.arange(245, 400 - HORIZON, 4), 0.5)
 
 
 def test_path_agrees_with_its_velocities(net: LSTMPredictor) -> None:

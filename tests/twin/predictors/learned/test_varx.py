@@ -6,9 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from tests.twin.predictors.learned.test_learners import BOAT, HORIZON, ask, fitted, history
+from tests.twin.predictors.learned.test_learners import (
+    BOAT,
+    HORIZON,
+    assert_beats_persistence,
+    fitted,
+    history,
+)
 from twin.channels import MEASUREMENTS
-from twin.predictors.baselines import GRID, Persistence, hold_velocity
+from twin.predictors.baselines import GRID, hold_velocity
 from twin.predictors.learned.features import lagged
 from twin.predictors.learned.varx import VARPredictor
 
@@ -28,12 +34,8 @@ def feed(predictor: VARPredictor, rows: np.ndarray, dt: float = GRID, first: flo
 def test_finds_a_linear_boat(kind: str) -> None:
     """On rows after the fit it is next to exact: the boat is of the family that is fitted."""
     rows = history(kind=kind)
-    origins = np.arange(245, 400 - HORIZON, 4)
-    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
-    ours = np.abs(ask(fitted(rows[:241]), rows, origins) - truth).mean(axis=(0, 1))
-    held = np.abs(ask(Persistence(BOAT), rows, origins) - truth).mean(axis=(0, 1))
     # what the ridge of 3e-3 leaves
-    assert (ours < 0.1 * held).all(), (ours, held)
+    assert_beats_persistence(fitted(rows[:241]), rows, np.arange(245, 400 - HORIZON, 4), 0.1)
 
 
 def test_a_slow_ship_has_longer_steps() -> None:
@@ -42,13 +44,7 @@ def test_a_slow_ship_has_longer_steps() -> None:
     predictor = fitted(history(2000, boat=SHIP)[:1600], SHIP)
     assert predictor.stride == 5
     rows = history(2000, boat=SHIP)
-    origins = np.arange(1605, 1900, 10)
-    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
-    ours, held = (
-        np.abs(ask(p, rows, origins) - truth).mean(axis=(0, 1))
-        for p in (predictor, Persistence(SHIP))
-    )
-    assert (ours < 0.2 * held).all(), (ours, held)
+    assert_beats_persistence(predictor, rows, np.arange(1605, 1900, 10), 0.2)
     plan = rows[None, 1606:1646, 6:10]
     whole = predictor.forecast(rows, np.array([1605]), plan)
     for K in (1, 4, 5, 13):
