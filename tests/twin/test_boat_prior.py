@@ -148,10 +148,7 @@ def test_priors_of_other_boats_are_refused(
         (good.replace("runs = 1", "runs = 1\nmore = 2"), "missing or unknown: more"),
         (good.replace('"X_u", ', "", 1), "parameters need"),
         (good.replace("mean = [", "mean = [nan, ", 1), "shapes"),
-        (good[: len(good) // 2], "not valid TOML"),
-        (re.sub(r"(?m)^length = .*", f"length = 1{400 * '0'}", good), "length has more digits"),
         (re.sub(r"(?m)^speed = .*", "speed = 1e-308", good), "speed = 1e-308 must be"),
-        (re.sub(r"(?m)^mean = \[[^,]*", f"mean = [1{400 * '0'}", good), "mean has more digits"),
         (re.sub(r"(?m)^mean = \[[^,]*", "mean = [nan", good), "finite"),
         (good.replace("  [", "  [-", 1), "variances above 0"),
     ):

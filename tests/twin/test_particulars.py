@@ -229,7 +229,6 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
         ("[particulars]", "[boat]", "expected the tables [particulars]"),
         ("[particulars]", "[extra]\n[particulars]", "found extra, particulars"),
         ("mass = 2300", "mass = 2300\nmass = 1", "is not valid TOML"),
-        ("mass = 2300", "mass = ", "is not valid TOML"),
         ("mass = 2300", "mass = 2300\n[instruments]\nradar = 1", "unknown key 'radar'; known keys"),
         ("shaft_speed = 17.0", "shaft_speed = 17.0\n[instruments]\ngps_sd = 0", "gps_sd = 0 must"),
     ],
@@ -243,9 +242,6 @@ def test_files_without_particulars_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "boat.toml"
     assert "found none" in refused(path, "")
     assert "expected a table of keys and values" in refused(path, "particulars = 3")
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParticularsError, match="is not valid TOML"):
-        Particulars.load(path)
     with pytest.raises(ParticularsError, match="cannot be read"):
         Particulars.load(tmp_path / "absent.toml")
 

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from twin import Log, Twin
+from twin import Log, Particulars, Twin
 from twin.benchmark.loading import with_faults
 from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.integrity.state import SENSORS
@@ -129,6 +130,14 @@ def test_reversed_commands_are_named_and_sensors_stay(vessel):
     assert excluded == {"commands"}
 
 
+def watched(log: Log, about: Particulars) -> Iterator[SensorMonitor]:
+    """Yield the monitor after each row of a log."""
+    monitor = SensorMonitor(about)
+    for dt, (t, z, cmd) in zip(np.diff(log.t, prepend=log.t[0]), log, strict=True):
+        monitor.take(t, dt, z, cmd, np.zeros(6), False, NO_MOTION)
+        yield monitor
+
+
 @pytest.mark.parametrize("rate", [20, 5, 1])
 @pytest.mark.parametrize("vessel", ["usv75", "otter", "telemetron"])
 def test_sound_sensors_are_silent(vessel, rate):
@@ -137,12 +146,10 @@ def test_sound_sensors_are_silent(vessel, rate):
     log = simulate(
         "random", vessel=boat, sea=SeaState(hs=hs), duration=150.0, seed=rate, suite=suite(rate)
     )
-    monitor, seen = SensorMonitor(particulars_of(boat, suite(rate))), set()
-    for k in range(len(log)):
-        dt = log.t[k] - log.t[k - 1] if k else 0.0
-        monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
-        seen |= {(name, one.status) for name, one in monitor.statuses(0.0).items()}
-    assert {status for _, status in seen} <= {"ok", "absent"}
+    seen = set()
+    for monitor in watched(log, particulars_of(boat, suite(rate))):
+        seen |= {one.status for one in monitor.statuses(0.0).values()}
+    assert seen <= {"ok", "absent"}
 
 
 def test_whitened_innovations_of_sound_sensors_are_white():
@@ -163,10 +170,7 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
             "zigzag", vessel=boat, sea=SeaState(hs=0.3), duration=80.0, seed=seed, suite=suite(5)
         )
         particulars = particulars_of(boat, suite(5))
-        monitor = SensorMonitor(particulars)
-        for k in range(len(log)):
-            dt = log.t[k] - log.t[k - 1] if k else 0.0
-            monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
+        *_, monitor = watched(log, particulars)
         one = monitor.record["bank"]["filters"][3]
         assert log.truth is not None
         error = one["x"][:2] - log.truth[-1, :2]

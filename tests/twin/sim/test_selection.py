@@ -117,14 +117,11 @@ def test_compact_entries_have_one_size_when_los_sails(vessel) -> None:
     """Held shafts do not vary at all: it is agents that move them."""
     seen = []
     for sea, faults in (("0", "none"), ("2", "gps30"), ("4", "gps30")):
-        envs = make_envs(
-            6, observation="twin", twin="ukf", sea=sea, faults=faults, vessel=vessel,
-            autoreset_mode="SameStep",
-        )  # fmt: skip
-        shown = make_envs(
-            6, observation="compact", twin="ukf", sea=sea, faults=faults, vessel=vessel,
-            autoreset_mode="SameStep",
-        )  # fmt: skip
+        worlds = {"twin": "ukf", "sea": sea, "faults": faults, "vessel": vessel}
+        envs, shown = (
+            make_envs(6, observation=name, autoreset_mode="SameStep", **worlds)
+            for name in ("twin", "compact")
+        )
         pilot = make_controller("los-twin")
         obs, _ = envs.reset(seed=4000)
         small, _ = shown.reset(seed=4000)
