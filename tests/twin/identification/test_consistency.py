@@ -20,15 +20,10 @@ from twin.model.structure import N_TERMS
 RUNS = 50
 
 
-def interval(degrees: int) -> tuple[float, float]:
-    """Return the 95 % interval of a chi-square sum, per degree of freedom."""
-    low, high = chi2.ppf([0.025, 0.975], degrees) / degrees
-    return float(low), float(high)
-
-
 def inside(value: float, degrees: int) -> bool:
-    low, high = interval(degrees)
-    return low <= value <= high
+    """Return whether a chi-square sum, per degree of freedom, is within its 95 % interval."""
+    low, high = chi2.ppf([0.025, 0.975], degrees) / degrees
+    return bool(low <= value <= high)
 
 
 def nees(error: np.ndarray, P: np.ndarray) -> float:

@@ -179,6 +179,13 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
     assert 0.3 < np.mean(squares) < 6.0
 
 
+def test_the_state_of_a_monitor_is_all_that_it_remembers():
+    twin = begun("usv75", 5)[1]
+    other = SensorMonitor(twin.particulars)
+    other.load_state_dict(twin.monitor.state_dict())
+    np.testing.assert_array_equal(other.memory, twin.monitor.memory)
+
+
 def test_a_status_prints_as_words():
     status = SensorStatus("excluded", 88.42599987983704, "gps jumped")
     assert str(status) == "excluded since 88.4 s: gps jumped"

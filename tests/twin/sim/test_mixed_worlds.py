@@ -23,6 +23,9 @@ def test_twins_know_the_nominal_vessel_only() -> None:
         nominal = Vessel.load(drawn["vessel"])
         assert env.twin.particulars == particulars_of(nominal)
         assert env.simulation.vessel_of(0).values["mass"] != nominal.values["mass"]
+    envs = make_vector_env(4, vessel="usv75|otter", twin="ukf")
+    for i, name in enumerate(envs.reset(seed=0)[1]["drawn"]["vessel"]):
+        assert envs.twin(i).particulars == particulars_of(Vessel.load(name))
 
 
 def test_how_much_of_its_boat_a_twin_knows() -> None:

@@ -181,11 +181,6 @@ def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
 # ------------------------------------------------- observation sets
 
 
-def dof_of(observation="raw", task="path"):
-    """Return the degrees of freedom that an observation set or a task needs."""
-    return 6 if observation == "twin_attitude" or task == "seakeeping" else 3
-
-
 @pytest.mark.filterwarnings("ignore:.*render.*")
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("observation", OBSERVATIONS)
@@ -196,7 +191,7 @@ def test_both_checkers_accept_every_task_and_observation_set(task, observation):
         twin="ukf",
         frame_skip=5,
         faults="gps10",
-        dof=dof_of(observation, task),
+        dof=6 if observation == "twin_attitude" or task == "seakeeping" else 3,
     )
     assert len(env.observation_names) == env.observation_space.shape[0]
     assert len(set(env.observation_names)) == len(env.observation_names)

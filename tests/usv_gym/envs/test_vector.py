@@ -31,10 +31,6 @@ def natives(n=N, **options):
     return gym.make_vec("USVTwin-v0", num_envs=n, **(SHORT | options))
 
 
-def singles(n=N, **options):
-    return [gym.make("USVTwin-v0", **(SHORT | options)) for _ in range(n)]
-
-
 def same(a, b):
     """Assert that nested infos hold the same."""
     assert type(a) is type(b) or np.isscalar(a), (a, b)
@@ -135,7 +131,7 @@ def test_disabled_autoreset_refuses_to_go_on_after_the_end():
 
 
 def test_seeds_go_on_where_none_is_given():
-    envs, env = natives(twin=None), singles(twin=None)[1]
+    envs, env = natives(twin=None), gym.make("USVTwin-v0", twin=None, **SHORT)
     envs.reset(seed=4)
     env.reset(seed=5)
     assert envs.unwrapped.np_random_seed == (4, 5, 6)
