@@ -1,7 +1,5 @@
 """No deadlines, and a headless browser for the pages and views that people open in theirs."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Examples and README run as they stand, and their tables are those of checked-in results."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

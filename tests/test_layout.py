@@ -1,7 +1,5 @@
 """What a newcomer can rely on: folders that say what they hold, and one base of all errors."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The wheel holds every file that the packages read, and nothing else."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib

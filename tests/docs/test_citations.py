@@ -1,7 +1,5 @@
 """What docstrings cite exists: each page, each section of it, and no specification file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -54,34 +52,3 @@ def test_no_specification_file_is_cited():
     code = [path for path in SOURCES if path.suffix != ".md" and path.name != Path(__file__).name]
     wrong = {str(path.relative_to(ROOT)) for path in code if OLD.search(path.read_text("utf-8"))}
     assert not wrong
-
-
-def test_titles_that_docstrings_rely_on_exist():
-    twin = titles(ROOT / "docs/explanation/twin.md")
-    sea = titles(ROOT / "docs/explanation/ship_and_sea.md")
-    assert twin >= {
-        "State and measurements",
-        "Navigation filter",
-        "Model structure",
-        "Joint filter",
-        "The refit",
-        "Waves and prediction intervals",
-        "Dynamic window",
-        "Identifiability",
-        "Tankers",
-        "Learned predictors",
-        "Losses of sensors",
-    }
-    assert sea >= {
-        "Frames and notation",
-        "Hull",
-        "Propulsion",
-        "Actuators",
-        "Wind",
-        "Waves",
-        "Current",
-        "Six degrees of freedom",
-        "Sensors",
-        "Vessels",
-        "What the paper gets wrong",
-    }

@@ -1,7 +1,5 @@
 """The page on the paper names every equation, table and figure, and places that exist."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The tables of the reference are those of the code."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

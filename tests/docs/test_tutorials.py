@@ -1,7 +1,5 @@
 """The code of every page runs: all of a tutorial, and the Python of other pages."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

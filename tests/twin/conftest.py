@@ -1,7 +1,5 @@
 """Runs that several tests share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib.util import find_spec
 

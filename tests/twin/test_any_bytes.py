@@ -1,7 +1,5 @@
 """Files of any bytes: each loads, or gives one sentence that names the file."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
@@ -19,7 +17,7 @@ from hypothesis import strategies as st
 
 from tests.twin.agents.drawn_policy import drawn_policy
 from tests.twin.logs.autopilot_logs import RUDDER, SKID, dataflash, telemetry
-from tests.twin.logs.foreign import EXAMPLE, FOREIGN, MAPPINGS, foreign, record, run
+from tests.twin.logs.foreign import EXAMPLE, FOREIGN, MAPPINGS, record, run
 from twin import Log, Particulars
 from twin.agents.hyperparameters import hyperparameters
 from twin.agents.policy import Policy
@@ -67,11 +65,6 @@ def written(log: Log, name: str) -> Callable[[Path], bytes]:
         return (folder / name).read_bytes()
 
     return make
-
-
-def foreign_log(folder: Path) -> bytes:
-    text: str = foreign(run(60)).write_csv()
-    return text.encode()
 
 
 def bag(storage: str, name: str) -> Callable[[Path], bytes]:

@@ -1,7 +1,5 @@
 """A boat's own prior: how runs are combined, its file, and what it is worth."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re
@@ -150,10 +148,7 @@ def test_priors_of_other_boats_are_refused(
         (good.replace("runs = 1", "runs = 1\nmore = 2"), "missing or unknown: more"),
         (good.replace('"X_u", ', "", 1), "parameters need"),
         (good.replace("mean = [", "mean = [nan, ", 1), "shapes"),
-        (good[: len(good) // 2], "not valid TOML"),
-        (re.sub(r"(?m)^length = .*", f"length = 1{400 * '0'}", good), "length has more digits"),
         (re.sub(r"(?m)^speed = .*", "speed = 1e-308", good), "speed = 1e-308 must be"),
-        (re.sub(r"(?m)^mean = \[[^,]*", f"mean = [1{400 * '0'}", good), "mean has more digits"),
         (re.sub(r"(?m)^mean = \[[^,]*", "mean = [nan", good), "finite"),
         (good.replace("  [", "  [-", 1), "variances above 0"),
     ):
@@ -180,20 +175,13 @@ def test_priors_of_no_such_model_are_refused(prior: BoatPrior, boat: Particulars
 def test_saved_twins_need_no_prior_file(
     tmp_path: Path, prior: BoatPrior, boat: Particulars, log: Log
 ) -> None:
-    own = dataclasses.replace(boat, prior=prior)
-    half = len(log) // 2
-    whole, first = Twin(own), Twin(own)
-    rows = list(log)
-    for row in rows[:half]:
-        first.step(*row)
-    first.save(tmp_path / "boat.twin")
+    twin = Twin(dataclasses.replace(boat, prior=prior))
+    twin.save(tmp_path / "boat.twin")
     later = Twin.load(tmp_path / "boat.twin")
-    assert later.particulars == own
-    for row in rows:
-        whole.step(*row)
-    for row in rows[half:]:
-        later.step(*row)
-    np.testing.assert_array_equal(whole.estimate().params, later.estimate().params)
+    assert later.particulars == twin.particulars
+    for one in (twin, later):
+        one.run(log)
+    np.testing.assert_array_equal(twin.estimate().params, later.estimate().params)
 
 
 def test_only_models_of_the_same_structure_use_it(prior: BoatPrior, boat: Particulars) -> None:

@@ -1,7 +1,5 @@
 """Workers: every kind gives the same results, and missing packages are named."""
 
-from __future__ import annotations
-
 import functools
 import operator
 import os

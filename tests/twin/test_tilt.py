@@ -1,7 +1,5 @@
 """Velocities and rates of a heeled boat, against rotation matrices of SciPy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Disk cache of kernels: an edit of a source recompiles every caller of it."""
 
-from __future__ import annotations
-
 import ast
 import gc
 import io
@@ -203,26 +201,16 @@ def test_another_numba_version_recompiles(fresh: None, monkeypatch: pytest.Monke
     assert hits() == 0
 
 
-def test_kernels_without_parts_give_equal_results(
-    fresh: None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("_PARTS", False), ("PipelineTuningOptions", None)],  # the second as llvmlite before 0.45
+)
+def test_kernels_compiled_in_other_ways_give_equal_results(
+    fresh: None, monkeypatch: pytest.MonkeyPatch, name: str, value: object
 ) -> None:
-    monkeypatch.setattr(compiler, "_PARTS", False)
+    monkeypatch.setattr(compiler, name, value)
     inner = jit.kernel(twice)
-    assert inner.part is inner
-
-    @jit.kernel
-    def outer(x):
-        return inner(x) + 1.0
-
-    assert outer(3.0) == 7.0
-    assert len(inner.signatures) == 1
-
-
-def test_kernels_without_pass_tuning_give_equal_results(
-    fresh: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(compiler, "PipelineTuningOptions", None)  # as llvmlite had it before 0.45
-    inner = jit.kernel(twice)
+    assert (inner.part is inner) == (name == "_PARTS")
 
     @jit.kernel
     def outer(x):

@@ -1,7 +1,5 @@
 """Random numbers of kernels are NumPy's own."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """A policy whose weights are drawn, where any policy will do."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

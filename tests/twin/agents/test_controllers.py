@@ -1,7 +1,5 @@
 """Classical controllers: they keep to paths, and the more they know the better."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

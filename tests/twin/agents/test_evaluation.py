@@ -1,7 +1,5 @@
 """Evaluation: the episode of a seed is that of a single environment, and failing early costs."""
 
-from __future__ import annotations
-
 import json
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """What a training may be given: a controller to correct, weights of rewards, entries, threads."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
 
+from tests.twin.agents.test_training import SMALL, same
 from tests.twin.cli.command import run as command
 from twin.agents import training
 from twin.agents.controllers import LOS, make_controller
@@ -21,12 +20,11 @@ from twin.agents.residual import ResidualVecEnv, ScaledReward
 from twin.agents.training import Plan, train
 from usv_gym.envs.sb3 import SB3VecEnv
 
-TINY = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
 LAST = {"max_episode_steps": 12, "sea": "2", "faults": "none"}
 
 
 def tiny(algo="ppo", **changes):
-    return hyperparameters(algo) | TINY | changes
+    return hyperparameters(algo) | SMALL["ppo"] | changes
 
 
 def learner(tmp_path, algo="ppo", hyper=None, **options):
@@ -39,11 +37,6 @@ def run(folder, algo="ppo", hyper=None, **options):
     plan = Plan(algo, **{"observation": "compact", "steps": 128, "every": 64, **LAST, **options})
     given = tiny(algo) if hyper is None else hyper
     return train(plan, folder, hyper=given, curve_seeds=(1, 2), num_threads=num_threads)
-
-
-def same(a: Policy, b: Policy) -> bool:
-    pairs = zip(a.layers, b.layers, strict=True)
-    return all(np.array_equal(x, y) for one, two in pairs for x, y in zip(one, two, strict=True))
 
 
 # ------------------------------------------------- corrections of a controller
@@ -101,43 +94,28 @@ def test_a_saved_residual_acts_as_in_its_training(tmp_path):
     found.envs.close()
 
 
-def test_a_controller_forgets_a_boat_where_its_episode_ends():
-    boats = corrected(3, max_episode_steps=50, sea="4")
-    boats.set_options({"first_episode_steps": np.array([8, 50, 9])})
-    boats.seed(1)
-    boats.reset()
-    for k in range(9):
-        before = boats.base._drift.copy()
-        seen, _, dones, infos = boats.step(np.zeros((3, 2)))
-        assert dones.tolist() == [k == 7, False, k == 8]
-        for i in np.flatnonzero(dones):
-            last = infos[i]["terminal_observation"]
-            assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
-            fresh = LOS("los-twin", "twin", "twin_")
-            fresh.begin(boats.envs)
-            fresh.act(boats.envs._shown())
-            assert boats.base._drift[i] == fresh._drift[i] != before[i]
-            assert boats.base._drift[1] != fresh._drift[1]
-    boats.close()
-
-
-def test_plans_of_a_boat_are_forgotten_where_its_episode_ends(tmp_path):
-    found = learner(tmp_path, "ppo-mpc")
+@pytest.mark.parametrize(
+    ("algo", "base", "memory"),
+    [("ppo-residual", "los-twin", "_drift"), ("ppo-mpc", "mpc-steady", "_plans")],
+)
+def test_a_controller_forgets_a_boat_where_its_episode_ends(tmp_path, algo, base, memory):
+    found = learner(tmp_path, algo, sea="4")
     boats = found.envs.venv.venv
-    base = boats.base
     boats.set_options({"first_episode_steps": np.array([8, 12, 9, 12])})
     boats.seed(1)
     boats.reset()
     for k in range(9):
-        _seen, _, dones, infos = boats.step(np.full((4, 2), 0.1))
+        seen, _, dones, infos = boats.step(np.full((4, 2), 0.1))
         assert dones.tolist() == [k == 7, False, k == 8, False]
         for i in np.flatnonzero(dones):
-            assert infos[i]["terminal_observation"].shape == (16,)
-            fresh = make_controller("mpc-steady")
+            last = infos[i]["terminal_observation"]
+            assert last.shape == seen[i].shape and not np.array_equal(last, seen[i])
+            fresh = make_controller(base)
             fresh.begin(boats.envs)
             fresh.act(boats.envs._shown())
-            np.testing.assert_array_equal(base._plans[i], fresh._plans[i])
-            assert not np.array_equal(base._plans[1], fresh._plans[1])
+            held, new = getattr(boats.base, memory), getattr(fresh, memory)
+            np.testing.assert_array_equal(held[i], new[i])
+            assert not np.array_equal(held[1], new[1])
     found.envs.close()
 
 

@@ -1,7 +1,5 @@
 """Ray: RLlib trains on the environment, on one machine and on a cluster."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

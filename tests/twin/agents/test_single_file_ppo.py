@@ -1,33 +1,22 @@
 """The example of PPO in one file learns, and writes what it learned."""
 
-from __future__ import annotations
-
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="the example needs torch: pip install 'usv-twin[rl]'")
 
+from tests.twin.live.wire import load_example
 from twin.agents.evaluation import evaluate
 from twin.agents.policy import Policy
-
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "08_single_file_ppo.py"
 
 SMALL = {"boats": 64, "minibatch": 512}
 
 
 @pytest.fixture(scope="module")
 def ppo():
-    spec = importlib.util.spec_from_file_location("single_file_ppo", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there for their module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return load_example("08_single_file_ppo.py")
 
 
 def untrained(policy):

@@ -1,7 +1,5 @@
 """Training: reproducible, resumable, and a policy file that is what was trained."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -138,9 +136,6 @@ def test_a_policy_refuses_other_observations_and_files(tmp_path):
     with pytest.raises(AgentError, match="trained on 23 entries of the observation set 'raw'"):
         policy.begin(make_envs(2, observation="twin"))
     wrong = tmp_path / "wrong.npz"
-    wrong.write_bytes(b"nothing")
-    with pytest.raises(AgentError, match="is no policy"):
-        Policy.load(wrong)
     np.savez(wrong, notes=np.array([{"a": 1}], dtype=object))
     with pytest.raises(AgentError, match="is cut off or damaged"):
         Policy.load(wrong)

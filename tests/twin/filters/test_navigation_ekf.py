@@ -1,7 +1,5 @@
 """The tight filter: accuracy, losses, refusal of wild numbers, and never a NaN."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The structured filter against filterpy's full one, a textbook filter, and abuse."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -6,40 +6,24 @@ Kirubarajan 2001, section 5.4. Each test has its counterpart with a filter that 
 noise: it must fall outside.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.twin.filters.test_ukf import BOAT, SENSOR_SD, STEP_SD
 from twin.filters import ukf
 from twin.model import augmented, dynamics
 from twin.model.structure import N_TERMS
-from twin.particulars import Particulars
 
 RUNS = 50
-BOAT = Particulars(
-    name="study boat",
-    length=7.5,
-    beam=2.714,
-    draft=0.526,
-    mass=3420.0,
-    speed=5.4,
-    shaft_speed=6.33,
-)
-
-
-def interval(degrees: int) -> tuple[float, float]:
-    """Return the 95 % interval of a chi-square sum, per degree of freedom."""
-    low, high = chi2.ppf([0.025, 0.975], degrees) / degrees
-    return float(low), float(high)
 
 
 def inside(value: float, degrees: int) -> bool:
-    low, high = interval(degrees)
-    return low <= value <= high
+    """Return whether a chi-square sum, per degree of freedom, is within its 95 % interval."""
+    low, high = chi2.ppf([0.025, 0.975], degrees) / degrees
+    return bool(low <= value <= high)
 
 
 def nees(error: np.ndarray, P: np.ndarray) -> float:
@@ -49,9 +33,7 @@ def nees(error: np.ndarray, P: np.ndarray) -> float:
 # --- the twin's own model ---------------------------------------------------------------------
 
 H, STEPS = 0.05, 300
-STEP_SD = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125])
 # The part of the waves in the velocities is here what the filter takes it for: white noise.
-SENSOR_SD = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048])
 START_SD = np.array([0.5, 0.5, 0.05, 0.3, 0.3, 0.05])
 
 

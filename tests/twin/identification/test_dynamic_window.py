@@ -1,7 +1,5 @@
 """Dynamic sliding window: exponent, indices, period, rules and bounds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is reported as identified: against designs whose answer is known."""
 
-from __future__ import annotations
-
 import json
 import math
 

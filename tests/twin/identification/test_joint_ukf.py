@@ -1,7 +1,5 @@
 """The joint filter's forecasts: intervals of a small boat at rest, and what counts as plausible."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Bounds of physics: any estimate is brought inside, none inside is touched."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

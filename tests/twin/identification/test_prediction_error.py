@@ -1,7 +1,5 @@
 """The multi-step refit against finite differences, scipy's optimisers, and disturbed data."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

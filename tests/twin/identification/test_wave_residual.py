@@ -1,7 +1,5 @@
 """The autoregression of the waves: what it finds, that it dies out, and what it simulates."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a twin notes of sensors that were in doubt."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,10 +1,9 @@
 """Faults are named soon at every rate, sound sensors stay, and the estimate is as without one."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from twin import Log, Twin
+from twin import Log, Particulars, Twin
 from twin.benchmark.loading import with_faults
 from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.integrity.state import SENSORS
@@ -131,6 +130,14 @@ def test_reversed_commands_are_named_and_sensors_stay(vessel):
     assert excluded == {"commands"}
 
 
+def watched(log: Log, about: Particulars) -> Iterator[SensorMonitor]:
+    """Yield the monitor after each row of a log."""
+    monitor = SensorMonitor(about)
+    for dt, (t, z, cmd) in zip(np.diff(log.t, prepend=log.t[0]), log, strict=True):
+        monitor.take(t, dt, z, cmd, np.zeros(6), False, NO_MOTION)
+        yield monitor
+
+
 @pytest.mark.parametrize("rate", [20, 5, 1])
 @pytest.mark.parametrize("vessel", ["usv75", "otter", "telemetron"])
 def test_sound_sensors_are_silent(vessel, rate):
@@ -139,12 +146,10 @@ def test_sound_sensors_are_silent(vessel, rate):
     log = simulate(
         "random", vessel=boat, sea=SeaState(hs=hs), duration=150.0, seed=rate, suite=suite(rate)
     )
-    monitor, seen = SensorMonitor(particulars_of(boat, suite(rate))), set()
-    for k in range(len(log)):
-        dt = log.t[k] - log.t[k - 1] if k else 0.0
-        monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
-        seen |= {(name, one.status) for name, one in monitor.statuses(0.0).items()}
-    assert {status for _, status in seen} <= {"ok", "absent"}
+    seen = set()
+    for monitor in watched(log, particulars_of(boat, suite(rate))):
+        seen |= {one.status for one in monitor.statuses(0.0).values()}
+    assert seen <= {"ok", "absent"}
 
 
 def test_whitened_innovations_of_sound_sensors_are_white():
@@ -165,10 +170,7 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
             "zigzag", vessel=boat, sea=SeaState(hs=0.3), duration=80.0, seed=seed, suite=suite(5)
         )
         particulars = particulars_of(boat, suite(5))
-        monitor = SensorMonitor(particulars)
-        for k in range(len(log)):
-            dt = log.t[k] - log.t[k - 1] if k else 0.0
-            monitor.take(log.t[k], dt, log.z[k], log.cmd[k], np.zeros(6), False, NO_MOTION)
+        *_, monitor = watched(log, particulars)
         one = monitor.record["bank"]["filters"][3]
         assert log.truth is not None
         error = one["x"][:2] - log.truth[-1, :2]
@@ -177,32 +179,11 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
     assert 0.3 < np.mean(squares) < 6.0
 
 
-def test_saved_twin_goes_on_to_the_bit(tmp_path):
-    """The file is written in the middle of a fault."""
-    log, twin, first = begun("usv75", 5)
-    twin, rows = copy.deepcopy(twin), with_faults(log, parse_faults("gyro-sign15", START_S))
-    for k in range(first, first + 100):
-        twin.step(rows.t[k], rows.z[k], rows.cmd[k])
-    assert twin.health["gyro"].status == "excluded"
-    twin.save(tmp_path / "boat.twin")
-    other = Twin.load(tmp_path / "boat.twin")
-    assert other.health == twin.health
-    for k in range(first + 100, first + 500):
-        for one in (twin, other):
-            one.step(rows.t[k], rows.z[k], rows.cmd[k])
-    np.testing.assert_array_equal(other.monitor.memory, twin.monitor.memory)
-    np.testing.assert_array_equal(other.estimate().state, twin.estimate().state)
-
-
-def test_reset_monitor_knows_nothing():
-    log, twin, _ = begun("usv75", 5)
-    twin = copy.deepcopy(twin)
-    twin.reset()
-    fresh = Twin(twin.particulars, "ukf")
-    for row in range(200):
-        for one in (twin, fresh):
-            one.step(log.t[row], log.z[row], log.cmd[row])
-    np.testing.assert_array_equal(twin.monitor.memory, fresh.monitor.memory)
+def test_the_state_of_a_monitor_is_all_that_it_remembers():
+    twin = begun("usv75", 5)[1]
+    other = SensorMonitor(twin.particulars)
+    other.load_state_dict(twin.monitor.state_dict())
+    np.testing.assert_array_equal(other.memory, twin.monitor.memory)
 
 
 def test_a_status_prints_as_words():

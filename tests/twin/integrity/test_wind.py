@@ -1,7 +1,5 @@
 """The apparent wind in a twin: what it makes of it, and that faults of an anemometer do no harm."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -134,13 +132,3 @@ def test_a_lower_anemometer_gives_the_wind_of_ten_metres() -> None:
             twin.step(*row)
     a, b = (twin.predictor.ukf.wind for twin in twins)  # type: ignore[attr-defined]
     assert np.hypot(*a) / np.hypot(*b) == pytest.approx(20.0**0.11, rel=0.02)
-
-
-def test_a_saved_twin_keeps_the_wind(tmp_path) -> None:
-    twin, _ = twin_after(run().slice(0.0, 30.0))
-    twin.save(tmp_path / "a.twin")
-    again = Twin.load(tmp_path / "a.twin")
-    for row in run().slice(30.001, 31.0):
-        twin.step(*row)
-        again.step(*row)
-    np.testing.assert_array_equal(twin.predictor.ukf.wind, again.predictor.ukf.wind)

@@ -1,7 +1,5 @@
 """The recorded run of the tests of the live feed."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.twin.live.wire import RUN

@@ -1,6 +1,4 @@
-"""What the tests of live feeds and views share: a wire without waiting, a view, and an estimate."""
-
-from __future__ import annotations
+"""What the tests of live feeds and views share: a wire without waiting, and a view."""
 
 import contextlib
 import importlib.util
@@ -8,19 +6,20 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from twin.live.sessions.simulated import SimulationSetup
 from twin.logs.log import Log, recorded_runs
 from twin.logs.wire.feed import Feed
-from twin.motion import MotionEstimate
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate
+from usv_gym import SeaState, Vessel
 
 
 def load_example(path: str) -> Any:
@@ -130,16 +129,19 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return int(taken.getsockname()[1])
 
 
-def estimate_of(t: float) -> Estimate:
-    s = np.array([100.0, -50.0, 0.3, 5.0, 0.5, 0.1])
-    none = np.zeros(0)
-    return Estimate(t, s, np.full(6, 0.5), none, none, True)
+def wait(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+    """Return what a condition says once it is true."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+    return found
 
 
-def with_motion(estimate: Estimate) -> Estimate:
-    """Return the same with roll, pitch and heave."""
-    now = MotionEstimate(estimate.t, 0.1, -0.05, 0.01, -0.02, 0.2, 0.25, 0.3, np.full(4, 0.01))
-    return replace(estimate, motion=now)
+def setup(**options: object) -> SimulationSetup:
+    """Return a usv75 in sea state 2, with options."""
+    given = {"vessel": Vessel.load("usv75"), "sea": SeaState.named("2"), "seed": 5}
+    return SimulationSetup(**(given | options))  # type: ignore[arg-type]
 
 
 @contextlib.contextmanager

@@ -1,7 +1,5 @@
 """The priors that come with the package, and the script that makes them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

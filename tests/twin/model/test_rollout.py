@@ -1,7 +1,5 @@
 """Motion of the twin's models: one step, points of the filter, the paper's numbers, prediction."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -133,31 +131,6 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
         np.testing.assert_allclose(out[:3], [u * c - v * n, u * n + v * c, r], rtol=1e-14)
         # the terms that it leaves are those of the accelerations (test_structure.py)
         assert tuple(out[3:]) == accelerations(terms, structure.terms, xi, 0)
-
-
-@BOATS
-def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> None:
-    structure = structure_for(name, steering)
-    swap, sign = np.arange(len(structure)), np.ones(len(structure))
-    lopsided = ("Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "X_dn", "N_mn")
-    for k, label in enumerate(structure.parameters):
-        if label[0] == "T":
-            swap[k] = structure.parameters.index(label[:-1] + {"L": "R", "R": "L"}[label[-1]])
-        # these say how a boat is lopsided, or what drives it east
-        sign[k] = -1.0 if label in lopsided else 1.0
-    xi, plan = lively(structure), steering_plan(100)
-    image = plan[:, [1, 0, 3, 2]] * [1.0, 1.0, -1.0, -1.0]
-    one, _ = forecast(xi, plan, structure=structure, wind=WINDY)
-    two, _ = forecast(
-        (sign * xi)[swap],
-        image,
-        start=Start(s=(0.0, 0.0, -0.5, 5.0, 0.0, 0.0)),
-        structure=structure,
-        wind=WINDY * [1.0, -1.0],
-    )
-    assert np.ptp(one[:, 2]) > 0.1
-    # the same sums in another order: rounding, which 10 s of motion hardly amplify
-    np.testing.assert_allclose(two, one * [1, -1, -1, 1, -1, -1], atol=1e-9)
 
 
 @BOATS

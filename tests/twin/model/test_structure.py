@@ -1,7 +1,5 @@
 """Model structures: their formulas, slopes, blocks, priors and symmetries."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

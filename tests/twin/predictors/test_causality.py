@@ -1,7 +1,5 @@
 """Forecasts use no later row, exist for every plan, and change nothing; for each of PREDICTORS."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -27,6 +25,7 @@ def answers(twin, plan):
         estimate.params,
         estimate.params_sd,
         estimate.ready,
+        twin.monitor.memory.copy(),
     ]
     for prediction in (twin.predict(plan, dt=0.1), twin.predict("hold", dt=0.25)):
         found += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]

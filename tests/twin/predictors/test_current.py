@@ -1,5 +1,6 @@
 """The current: found where the boat turns, and held while GPS is lost."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,10 +13,8 @@ from twin.model.rollout import GRID
 from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import GPS_VY, GPS_X
 
 GPS = [k for k, name in enumerate(MEASUREMENTS) if name.startswith("gps")]
-FIX = slice(GPS_X, GPS_VY + 1)
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +29,13 @@ def twin(log):
     twin = Twin(particulars_of(Vessel.load("usv75")), "dsw-ukf-plus")
     twin.run(log.slice(0.0, 120.0))
     return twin
+
+
+def without_gps(log, start=0.0, end=math.inf):
+    """Return the rows of a log between times, without what the receiver says."""
+    z = log.z.copy()
+    z[:, GPS] = math.nan
+    return dataclasses.replace(log, z=z).slice(start, end)
 
 
 def current_of(twin):
@@ -47,9 +53,7 @@ def test_current_is_found_within_what_is_claimed(twin):
 
 def test_current_is_held_without_gps(twin, log):
     before = current_of(twin)[0].copy()
-    for t, z, cmd in log.slice(120.1, 140.0):
-        z[GPS] = math.nan
-        twin.step(t, z, cmd)
+    twin.run(without_gps(log, 120.1, 140.0))
     np.testing.assert_allclose(current_of(twin)[0], before, atol=0.1)
 
 
@@ -90,11 +94,9 @@ def test_without_gps_no_rough_boat_is_said_to_be_faster_than_it_was():
     log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=100.0, seed=1)
     twin = Twin(particulars_of(Vessel.load("otter")), "ukf")
     twin.run(log.slice(0.0, 40.0))
-    for t, z, cmd in log.slice(40.05, 100.0):
+    for row in without_gps(log, 40.05):
         twin.predictor.ukf.P[3, 3] = 1e4
-        z = z.copy()
-        z[GPS] = math.nan
-        twin.step(t, z, cmd)
+        twin.step(*row)
     fastest = np.hypot(*twin.predictor.ukf.fastest[:2])
     # a quarter of it throughout the minute, and what a current may do in a turn
     assert 10.0 < twin.estimate().sd[0] < (1.1 * 0.25 + 0.15) * fastest * 60.0
@@ -114,11 +116,8 @@ def lost_otter(turned, seed, current_to=0.0):
     vessel = Vessel.load("otter")
     log = simulate(commands, vessel=vessel, sea=sea, duration=120.0, seed=seed)
     twin = Twin(particulars_of(vessel), "dsw-ukf-plus")
-    for t, z, cmd in log.without_truth():
-        z = z.copy()
-        if t > 60.0:
-            z[GPS] = math.nan
-        twin.step(t, z, cmd)
+    twin.run(log.slice(t1=60.001))
+    twin.run(without_gps(log, 60.001))
     found = twin.estimate()
     return found.state[:2] - log.truth[-1, :2], found.sd[:2], found.state[2]
 
@@ -164,10 +163,7 @@ def test_without_gps_a_model_that_errs_says_so() -> None:
             twin.step(t, z, cmd)
             if wrong > 0.0 and t > 20.0:
                 twin.predictor.ukf.xi[at] = wrong
-        for t, z, cmd in log.slice(140.05, 170.0):
-            z = z.copy()
-            z[GPS] = math.nan
-            twin.step(t, z, cmd)
+        twin.run(without_gps(log, 140.05))
         said[wrong] = float(twin.estimate().sd[0])
     assert said[0.5] > 2.0 * said[0.0]
 
@@ -176,21 +172,16 @@ def test_an_outage_is_no_trial_of_the_model() -> None:
     """Without fixes the navigation is the model's: it cannot tell how far that errs."""
     log = simulate("turn", vessel=Vessel.load("otter"), sea=SeaState(), duration=220.0, seed=1)
     twin = Twin(particulars_of(Vessel.load("otter")), "ukf")
-    for t, z, cmd in log.slice(0.0, 100.0):
-        twin.step(t, z, cmd)
+    twin.run(log.slice(0.0, 100.0))
     drift = float(twin.predictor._nav["drift_var"])
-    for t, z, cmd in log.slice(100.05, 220.0):
-        z = z.copy()
-        z[GPS] = math.nan
-        twin.step(t, z, cmd)
+    twin.run(without_gps(log, 100.05))
     assert drift > 0.0
     assert float(twin.predictor._nav["drift_var"]) == drift
 
 
 def test_rows_under_doubted_commands_count_as_no_data(log) -> None:
     twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
-    for t, z, cmd in log.slice(0.0, 30.0):
-        twin.step(t, z, cmd)
+    twin.run(log.slice(0.0, 30.0))
     before = twin.predictor.ukf.counted[1]
     assert before > 10.0
     for t, z, cmd in log.slice(30.05, 60.0):

@@ -1,8 +1,5 @@
 """DSW-UKF+: its window, its clock, and that it predicts something finite whatever comes."""
 
-from __future__ import annotations
-
-import copy
 import dataclasses
 import math
 from collections.abc import Callable
@@ -83,17 +80,6 @@ def check(predictor: PlusPredictor, plan: np.ndarray = PLAN) -> None:
         np.testing.assert_allclose(found.t - found.t0, dt * np.arange(1, len(rows) + 1), atol=1e-6)
     assert np.isfinite(predictor.ukf.x).all() and np.isfinite(predictor.ukf.P).all()
     assert np.isfinite(predictor.segments.cov).all()
-
-
-def memory(predictor: PlusPredictor) -> dict[str, object]:
-    """Return copies of all that counts of what a predictor remembers."""
-    segments, parts = predictor.segments, predictor.memory._asdict()
-    used, kept = segments.first >= 0, segments.state._asdict()
-    # segments that are gone leave their numbers
-    parts["segments"] = [kept[name][used] for name in ("first", "packed", "b", "c", "at")]
-    return copy.deepcopy(
-        {**parts, "t": predictor.t, "params": segments.params, "cov": segments.cov}
-    )
 
 
 def slow(predictor: PlusPredictor) -> np.ndarray:
@@ -179,18 +165,13 @@ def test_refits_keep_to_their_period(boat: Particulars, zigzag: Log) -> None:
         assert when[0] < 1.0 + dt and when[-1] > 40.0 - period - 2.0 * dt
 
 
-def test_a_refit_changes_the_parameters_of_the_filter(boat: Particulars, zigzag: Log) -> None:
-    for name in MODELS:
-        predictor = PlusPredictor(boat, model=name)
-        prior_sd = predictor.estimate().params_sd
-        feed(predictor, zigzag.slice(0.0, 40.0))
-        used = predictor.segments.first[predictor.segments.first >= 0]
-        # one segment a spacing, none that is not over yet
-        assert len(used) >= 10 and (np.diff(np.sort(used)) == predictor.spacing).all()
-        assert used.max() + predictor.segments.steps < predictor.last_row + 1
-        sd = predictor.estimate().params_sd
-        assert (sd <= prior_sd * (1.0 + 1e-6)).all() and (sd < 0.8 * prior_sd).sum() >= 3
-        check(predictor)
+@pytest.mark.parametrize("name", MODELS)
+def test_a_refit_makes_parameters_surer(boat: Particulars, zigzag: Log, name: str) -> None:
+    predictor = PlusPredictor(boat, model=name)
+    prior_sd = predictor.estimate().params_sd
+    feed(predictor, zigzag.slice(0.0, 40.0))
+    sd = predictor.estimate().params_sd
+    assert (sd <= prior_sd * (1.0 + 1e-6)).all() and (sd < 0.8 * prior_sd).sum() >= 3
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -200,8 +181,10 @@ def test_vessels_of_any_kind_are_refitted(name: str, vessel: str) -> None:
     log = simulate("zigzag", vessel=ship, sea=SeaState(hs=0.2, wind=4.5), duration=40.0, seed=2)
     predictor = PlusPredictor(particulars_of(ship), model=name)
     feed(predictor, log)
-    used = predictor.segments.first >= 0
-    assert used.sum() >= 10
+    used = predictor.segments.first[predictor.segments.first >= 0]
+    # one segment a spacing, none that is not over yet
+    assert len(used) >= 10 and (np.diff(np.sort(used)) == predictor.spacing).all()
+    assert used.max() + predictor.segments.steps < predictor.last_row + 1
     moved = (
         np.abs(predictor.ukf.xi - predictor.segments.prior)
         > 0.05 * predictor.ukf.settings.structure.sd
@@ -294,17 +277,10 @@ def test_it_comes_back_after_an_hour(boat: Particulars, zigzag: Log) -> None:
     used = predictor.segments.first[predictor.segments.first >= 0]
     # nothing from before the gap, but segments of the half minute since
     assert len(used) >= 5
-    good = [
-        predictor.rows[
-            np.arange(k, k + predictor.segments.steps + 1) % len(predictor.rows), GOOD
-        ].all()
-        for k in used
-    ]
-    assert all(good)
     assert used.min() * GRID > 3500.0
 
 
-@pytest.mark.parametrize("start", [3.0, 5.0, 60.0])
+@pytest.mark.parametrize("start", [3.0, 5.0, 60.0, 3600.0])
 def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: float) -> None:
     """``start`` seconds of silence: rows within it are no measurements of anything."""
     predictor = PlusPredictor(boat)
@@ -408,34 +384,6 @@ def test_same_seed_same_bits_and_another_draws_others(boat: Particulars, zigzag:
     assert not np.array_equal(one.cov, other.cov)
     # a hundred draws: the spread is known to some 7 %, and its square to 14 %
     np.testing.assert_allclose(one.sd[-1], other.sd[-1], rtol=0.4)
-
-
-def test_predicting_changes_nothing(boat: Particulars, zigzag: Log) -> None:
-    silent, busy = PlusPredictor(boat), PlusPredictor(boat)
-    feed(silent, zigzag.slice(0.0, 40.0))
-
-    def ask(t: float) -> None:
-        if round(t / 0.05) % 37 == 0:
-            before = memory(busy)
-            busy.predict(PLAN, 0.25)
-            busy.mean(PLAN, 0.1)
-            np.testing.assert_equal(memory(busy), before)
-
-    feed(busy, zigzag.slice(0.0, 40.0), ask)
-    np.testing.assert_equal(memory(busy), memory(silent))
-    one, two = silent.predict(PLAN, 0.25), busy.predict(PLAN, 0.25)
-    np.testing.assert_array_equal(one.mean, two.mean)
-    np.testing.assert_array_equal(one.cov, two.cov)
-
-
-def test_reset_forgets(boat: Particulars, zigzag: Log) -> None:
-    used, fresh = PlusPredictor(boat), PlusPredictor(boat)
-    feed(used, zigzag)
-    used.reset()
-    np.testing.assert_equal(memory(used), memory(fresh))
-    for predictor in (used, fresh):
-        feed(predictor, zigzag.slice(5.0, 30.0))
-    np.testing.assert_equal(memory(used), memory(fresh))
 
 
 # The guard

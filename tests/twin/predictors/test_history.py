@@ -1,7 +1,5 @@
 """The history of predictors without a model: as long as needed, and the same bits."""
 
-from __future__ import annotations
-
 import math
 from importlib.util import find_spec
 from typing import Any

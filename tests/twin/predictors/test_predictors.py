@@ -1,50 +1,23 @@
 """The contract of every predictor in the registry, and what single ones must do."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
+from twin import PREDICTORS, Twin, TwinError, make_predictor
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import known_plan
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
-from twin.predictors.registry import EXTRAS, PredictorError
+from twin.predictors.registry import PredictorError
 from usv_kernel.errors import ArgumentError
 
-NAMES = [
-    pytest.param(
-        name,
-        marks=pytest.mark.skipif(
-            name in EXTRAS and find_spec(EXTRAS[name][0]) is None,
-            reason=f"{name} needs {EXTRAS.get(name, ('',))[0]}",
-        ),
-    )
-    for name in PREDICTORS
-]
-OPTIONS = {"lstm": {"train_at": 25.0}}
 
-
-def twin_for(name, boat) -> Twin:
-    return Twin(boat, name, seed=3, **OPTIONS.get(name, {}))
-
-
-def feed(twin: Twin, log: Log, rows: int) -> None:
-    for k, (t, z, cmd) in enumerate(log):
-        if k >= rows:
-            break
-        twin.step(t, z, cmd)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_state_is_estimated_within_bounds(name, zigzag, boat):
-    twin = twin_for(name, boat)
-    feed(twin, zigzag, 800)
+def test_state_is_estimated_within_bounds(name, make_twin, zigzag):
+    twin = make_twin(name)
+    twin.run(zigzag.slice(t1=zigzag.t[800]))
     estimate = twin.estimate()
     assert estimate.ready and estimate.t == zigzag.t[799]
     # the error is that of the receiver's bias, and small in velocity and yaw rate
@@ -55,12 +28,11 @@ def test_state_is_estimated_within_bounds(name, zigzag, boat):
     assert prediction.sd[-1, 0] > prediction.sd[0, 0]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_estimate_recovers_after_losses(name, zigzag, boat):
+def test_estimate_recovers_after_losses(name, make_twin, zigzag):
     """All sensors lost for minutes, then gaps and extreme numbers: finite, then accurate again."""
-    twin = twin_for(name, boat)
+    twin = make_twin(name)
     rng, size = np.random.default_rng(1), len(MEASUREMENTS)
-    feed(twin, zigzag, 600)
+    twin.run(zigzag.slice(t1=zigzag.t[600]))
     t = twin.t
     for k in range(600):
         t += 0.5 if k % 50 else 30.0
@@ -97,11 +69,11 @@ def test_intervals_are_given_or_normal():
     np.testing.assert_allclose(high, 0.5 * (1.6448536 + mean[:1] + 5.0), rtol=1e-7)
 
 
-def test_ukf_beats_persistence_in_the_zigzag(zigzag, boat):
+def test_ukf_beats_persistence_in_the_zigzag(make_twin, zigzag):
     """The order found in the study, with wide margins."""
     worst = {}
     for name in ("persistence", "persistence-8s", "ukf", "dsw-ukf"):
-        twin = twin_for(name, boat)
+        twin = make_twin(name)
         errors = []
         for k, (t, z, cmd) in enumerate(zigzag):
             twin.step(t, z, cmd)
@@ -116,11 +88,11 @@ def test_ukf_beats_persistence_in_the_zigzag(zigzag, boat):
     assert worst["dsw-ukf"] < worst["persistence"]
 
 
-def test_ukf_identifies_the_boat(zigzag, boat):
+def test_ukf_identifies_the_boat(make_twin, zigzag):
     """Damping and thrust get the signs of a ship, and no standard deviation grows."""
-    twin = twin_for("ukf", boat)
+    twin = make_twin("ukf")
     prior = twin.estimate()
-    feed(twin, zigzag, len(zigzag))
+    twin.run(zigzag)
     last = twin.estimate()
     named = dict(zip(twin.predictor.parameter_names, last.params, strict=True))
     assert max(named[name] for name in ("X_uu", "Y_v", "N_r")) < 0.0
@@ -129,17 +101,17 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     assert (last.params_sd < 0.8 * prior.params_sd).sum() >= 3
 
 
-def test_gps_loss_is_dead_reckoned(zigzag, boat):
+def test_gps_loss_is_dead_reckoned(make_twin, zigzag):
     z = zigzag.z.copy()
     z[800:1000, :4] = math.nan
     lost = dataclasses.replace(zigzag, z=z)
-    twin = twin_for("ukf", boat)
-    feed(twin, lost, 1000)
+    twin = make_twin("ukf")
+    twin.run(lost.slice(t1=lost.t[1000]))
     # the study: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
     assert np.hypot(*(twin.estimate().state - zigzag.truth[999])[:2]) < 4.0
     sd = twin.estimate().sd[0]
-    unhurt = twin_for("ukf", boat)
-    feed(unhurt, zigzag, 1000)
+    unhurt = make_twin("ukf")
+    unhurt.run(zigzag.slice(t1=zigzag.t[1000]))
     assert sd > unhurt.estimate().sd[0]
 
 
@@ -201,9 +173,9 @@ def test_unknown_predictor_is_named(boat):
         (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "give the last command"),
     ],
 )
-def test_bad_rows_are_refused(boat, zigzag, t, z, cmd, message):
-    twin = twin_for("ukf", boat)
-    feed(twin, zigzag, 10)
+def test_bad_rows_are_refused(make_twin, zigzag, t, z, cmd, message):
+    twin = make_twin("ukf")
+    twin.run(zigzag.slice(t1=zigzag.t[10]))
     before = twin.estimate()
     with pytest.raises(TwinError, match=message):
         twin.step(t, z, cmd)

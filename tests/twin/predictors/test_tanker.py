@@ -1,7 +1,5 @@
 """Ships of full form: their prior, and what it is worth."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episodes as logs: of every boat of a vector environment, wherever they end."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

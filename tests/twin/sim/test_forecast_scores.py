@@ -1,20 +1,16 @@
 """The scores in ``info`` are those that the benchmark's definitions give on the episode's log."""
 
-from __future__ import annotations
-
 import pickle
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.benchmark.scores import CHANNELS, score
 from twin.digital_twin import Twin
-from twin.sim import batched_twins
 from twin.sim.bridge import particulars_of
 from twin.sim.forecast_scores import HORIZONS, NAMES, ForecastScores
-from twin.sim.wrapper import log_of, make_env, make_vector_env
+from twin.sim.wrapper import log_of, make_env
 from usv_gym import Fault
 from usv_gym.world.faults import FaultWarning
 
@@ -85,45 +81,12 @@ def test_scores_equal_those_of_the_benchmark_on_the_log(twin, frame_skip):
     assert_equal(info, found, twin == "dsw-ukf-plus")
 
 
-@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
-def test_compiled_scores_equal_those_of_separate_twins(twin, monkeypatch):
-    ours = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
-    monkeypatch.setattr(batched_twins, "_COMPILED", {})
-    theirs = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
-    assert dict(ours) == pytest.approx(dict(theirs), rel=1e-6)
-
-
 def test_coverage_counts_only_forecasts_with_new_standard_deviations():
     scores = sail(make_env(twin="ukf", band_period=5.0, **OPTIONS), 560)["twin_forecast"]
     total = scores["n"] + scores["n_loss"]
     # at 5, 10 and 15 s; a forecast is graded 10 s later
     assert total == 18
     assert scores["n_intervals"] + scores["n_intervals_loss"] == 3
-
-
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "var"])
-def test_vector_scores_equal_those_of_single_environments(twin, mode):
-    options = {"faults": "gps3@2", "frame_skip": 10, "twin": twin}
-    rng = np.random.default_rng(1)
-    actions = rng.uniform(-1.0, 1.0, (31, 2, 2))
-    envs = make_vector_env(2, max_episode_steps=31, autoreset_mode=mode, **options)
-    envs.reset(seed=5)
-    for action in actions:
-        infos = envs.step(action)[-1]
-    ended = infos["final_info"] if mode == "SameStep" else infos
-    for i in range(2):
-        env = gym.make("USVTwin-v0", max_episode_steps=31, **options)
-        env.reset(seed=5 + i)
-        for action in actions:
-            *_, truncated, info = env.step(action[i])
-        assert truncated
-        scores = info["twin_forecast"]
-        assert scores["n"] + scores["n_loss"] == 5
-        assert ended["_twin_forecast"][i]
-        np.testing.assert_array_equal(ended["twin_forecast"][i].sums, scores.sums)
-    if mode == "SameStep":
-        assert not infos["twin_forecast"][0]["n"]
 
 
 def test_grading_can_be_switched_off_and_changes_no_observation():

@@ -1,7 +1,5 @@
 """The oracle: the true ship, from a filtered start, in a sea whose waves it does not know."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

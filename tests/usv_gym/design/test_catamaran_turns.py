@@ -1,7 +1,5 @@
 """Drafts of catamarans with fixed thrusters turn as published and recorded boats do."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -10,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.usv_gym.design import test_new_vessel as new
 from usv_gym import Vessel
 from usv_gym.design.checks import inspect
 from usv_gym.design.new_vessel import MainParticulars, design
@@ -26,17 +25,11 @@ FACTOR = 1.5
 """By which a draft from main particulars may differ."""
 
 # fmt: off
-OTTER = MainParticulars(
-    name="otter2", length=2.0, beam=1.08, draft=0.134146, mass=55.0, kind="thruster_pair",
-    speed=3.3 * KNOT, hulls=2, hull_beam=0.25, spacing=0.79,
-)
+OTTER = dataclasses.replace(new.OTTER, speed=3.3 * KNOT)
+BLUEBOAT = dataclasses.replace(new.BLUEBOAT, speed=4.0 * KNOT)
 WAMV = MainParticulars(
     name="wamv", length=4.9, beam=2.3919, draft=0.0794748, mass=180.0, kind="thruster_pair",
     speed=1.7, hulls=2, hull_beam=0.3379, spacing=2.054,
-)
-BLUEBOAT = MainParticulars(
-    name="blueboat", length=1.2, beam=0.93, draft=0.15, mass=15.0, kind="thruster_pair",
-    speed=4.0 * KNOT, hulls=2, hull_beam=0.17, spacing=0.654,
 )
 # fmt: on
 DRAFTS = {known.name: known for known in (OTTER, WAMV, BLUEBOAT)}

@@ -1,7 +1,5 @@
 """Inspection of vessels: derived particulars and broken rules."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

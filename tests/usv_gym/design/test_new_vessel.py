@@ -1,7 +1,5 @@
 """First vessel files from main particulars."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

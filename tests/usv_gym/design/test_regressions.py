@@ -1,7 +1,5 @@
 """Regressions against separate computations for the 7.5 m boat, and against KVLCC2."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A vessel that capsizes in a sea says so before it is sailed."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import warnings

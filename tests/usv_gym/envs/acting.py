@@ -1,7 +1,5 @@
 """Random actions and episodes, for tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

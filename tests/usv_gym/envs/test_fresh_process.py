@@ -1,7 +1,5 @@
 """What a fresh process imports."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -58,7 +56,7 @@ def test_the_twin_on_board_does_not_import_the_simulator() -> None:
 
 def test_optional_packages_are_imported_late() -> None:
     out = fresh(
-        "import sys, usv_gym, twin\n"
+        "import sys, usv_gym, twin, twin.predictors.learned.lstm\n"
         "late = {'torch', 'matplotlib', 'filterpy', 'stable_baselines3'}\n"
         "print(sorted(late & set(sys.modules)))"
     )

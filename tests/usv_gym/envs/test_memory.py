@@ -1,7 +1,5 @@
 """Memory does not grow while boats sail, episode after episode."""
 
-from __future__ import annotations
-
 import gc
 import os
 import weakref

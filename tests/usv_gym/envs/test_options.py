@@ -1,7 +1,5 @@
 """Every keyword of gym.make and gym.make_vec: what is wrong is named, what is taken sails."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import inspect

@@ -1,7 +1,5 @@
 """Libraries for learning take the environments as they are, each as its users do."""
 
-from __future__ import annotations
-
 import gc
 import os
 import warnings

@@ -1,7 +1,5 @@
 """Episodes as logs, and twins on them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ from usv_gym import Fault
 from usv_gym.physics import frames as fr
 
 
-@pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "persistence"])
+@pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "dsw-ukf-plus", "persistence"])
 def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndarray]]:
     """Return an environment after 40 s with a loss, and the estimates of its twin on the way."""
     env = make_env(twin=request.param, task="free", record=True, faults=[Fault("gps", 20.0, 10.0)])
@@ -30,10 +28,11 @@ def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndar
     return env, estimates, states
 
 
-def gives_the_same_estimates(
-    env: Any, log: Log, estimates: list[Any], states: list[np.ndarray]
-) -> None:
-    assert log.truth is None
+def test_the_wrapper_estimates_as_a_twin_on_the_log_on_disk(sailed: Any, tmp_path: Path) -> None:
+    """Bit for bit, without the truth: the twin cannot have seen it."""
+    env, estimates, states = sailed
+    log_of(env, tmp_path / "episode.csv")
+    log = Log.read(tmp_path / "episode.csv").without_truth()
     twin = Twin(
         particulars_of(env.unwrapped.vessel, env.unwrapped.simulation.suite),
         type(env.twin.predictor)(env.twin.particulars),
@@ -46,19 +45,8 @@ def gives_the_same_estimates(
         assert (other.t, other.ready) == (estimate.t, estimate.ready)
         for name in ("state", "sd", "params", "params_sd"):
             np.testing.assert_array_equal(getattr(other, name), getattr(estimate, name))
-
-
-def test_the_wrapper_estimates_as_a_twin_on_the_log(sailed: Any) -> None:
-    """Bit for bit, without the truth: the twin cannot have seen it."""
-    env, estimates, states = sailed
-    gives_the_same_estimates(env, log_of(env).without_truth(), estimates, states)
-
-
-def test_and_so_does_the_log_on_disk(sailed: Any, tmp_path: Path) -> None:
-    env, estimates, states = sailed
-    path = tmp_path / "episode.csv"
-    log_of(env, path)
-    gives_the_same_estimates(env, Log.read(path).without_truth(), estimates, states)
+    np.testing.assert_array_equal(twin.monitor.memory, env.twin.monitor.memory)
+    assert (twin.health, twin.notes) == (env.twin.health, env.twin.notes) and twin.notes
 
 
 def test_the_log_holds_what_the_sensors_said_and_the_truth(sailed: Any) -> None:

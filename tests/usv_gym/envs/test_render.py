@@ -1,7 +1,5 @@
 """Pictures: what they show, that they change nothing, and what happens without their library."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The adapter to Stable-Baselines3 against its own vector of single environments."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Tasks: their paths, rewards and ends, computed a second time from the true track."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import warnings
@@ -70,11 +68,6 @@ def test_each_kind_of_path_is_what_it_says():
         lengths, _, courses = bends(drawn("station", seed).points[0])
         assert 4 * LENGTH <= lengths[0] <= 8 * LENGTH
         assert abs(courses[0]) <= math.pi / 2.0
-
-
-def test_an_unknown_task_is_an_error_that_lists_those_there_are():
-    with pytest.raises(TaskError, match="lawnmower"):
-        make_env(task="paths", twin=None)
 
 
 @pytest.mark.parametrize("name", RATED)
@@ -149,21 +142,6 @@ def test_a_boat_on_station_succeeds_and_one_that_leaves_fails():
     assert reward < -FAILURE_COST
 
 
-def test_success_ends_a_path_without_a_penalty():
-    env = make_env(twin=None, sea="calm")
-    env.reset(seed=0)
-    env.task.records["leg"][0] = len(env.task.points[0]) - 2  # on the last leg, 20 m before its end
-    a, b = env.task.points[0, -2:]
-    along = (b - a) / np.hypot(*(b - a))
-    env.simulation.state[0, :2] = b - 20.0 * along
-    env.simulation.state[0, 5] = math.atan2(*along[::-1])
-    for _ in range(100):
-        _, reward, terminated, _, info = env.step(np.array([0.8, 0.0]))
-        if terminated:
-            break
-    assert terminated and info["is_success"] and reward > 0.0
-
-
 def test_a_decision_of_ten_steps_is_ten_steps():
     """The same track, the sum of rewards, the last observation; only the effort counts once."""
     options = {"sea": "3", "twin": "ukf", "faults": "gps3@2"}
@@ -186,16 +164,6 @@ def test_a_decision_of_ten_steps_is_ten_steps():
         assert info["t_s"] == last["t_s"]
 
 
-def test_a_boat_that_fails_within_a_decision_stops_there():
-    env = make_env(twin=None, sea="calm", frame_skip=40)
-    env.reset(seed=0)
-    for _ in range(60):
-        *_, terminated, _, info = env.step(np.array([0.8, 0.25]))
-        if terminated:
-            break
-    assert 50.0 < abs(info["cross_track_m"]) < 50.5  # not two seconds later
-
-
 def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
     env = make_env(twin=None, sea="calm|2|4", faults="none|gps10|imu5@3", task="free")
     waves, losses = set(), set()
@@ -210,29 +178,7 @@ def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
     assert len(kinds) >= 3
 
 
-def test_a_sea_that_was_drawn_is_that_sea():
-    """Space for waves that are not there changes nothing: a calm episode is as in the calm sea."""
-    among, alone = make_env(twin=None, sea="calm|4"), make_env(twin=None, sea="calm")
-    for seed in range(8):
-        among.reset(seed=seed)
-        if among.simulation.waves.any():
-            continue
-        alone.reset(seed=seed)
-        for action in np.random.default_rng(1).uniform(-1.0, 1.0, (100, 2)):
-            among.step(action), alone.step(action)
-        np.testing.assert_allclose(
-            among.simulation.state[0, :9], alone.simulation.state[0, :9], atol=1e-9
-        )
-        return
-    raise AssertionError("no calm sea in eight draws")
-
-
 # ------------------------------------------------- observation sets
-
-
-def dof_of(observation="raw", task="path"):
-    """Return the degrees of freedom that an observation set or a task needs."""
-    return 6 if observation == "twin_attitude" or task == "seakeeping" else 3
 
 
 @pytest.mark.filterwarnings("ignore:.*render.*")
@@ -245,7 +191,7 @@ def test_both_checkers_accept_every_task_and_observation_set(task, observation):
         twin="ukf",
         frame_skip=5,
         faults="gps10",
-        dof=dof_of(observation, task),
+        dof=6 if observation == "twin_attitude" or task == "seakeeping" else 3,
     )
     assert len(env.observation_names) == env.observation_space.shape[0]
     assert len(set(env.observation_names)) == len(env.observation_names)
@@ -361,33 +307,6 @@ def test_observation_sets_that_cannot_be_say_so():
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
     with pytest.raises(ValueError, match="frame_skip = 0"):
         make_env(frame_skip=0)
-
-
-@pytest.mark.parametrize("observation", OBSERVATIONS)
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_batches_are_single_environments_with_decisions_of_several_steps(observation, mode):
-    """Gymnasium's own vector over single environments, through ends, faults and drawn seas."""
-    options = {
-        **{"observation": observation, "twin": "ukf", "frame_skip": 10, "sea": "calm|3"},
-        **{"faults": "none|gps3@2", "max_episode_steps": 30, "dof": dof_of(observation)},
-    }
-    native = gym.make_vec("USVTwin-v0", num_envs=3, autoreset_mode=mode, **options)
-    single = gym.vector.SyncVectorEnv(
-        [lambda: gym.make("USVTwin-v0", **options)] * 3,
-        autoreset_mode=gym.vector.AutoresetMode(mode),
-    )
-    np.testing.assert_array_equal(native.reset(seed=4)[0], single.reset(seed=4)[0])
-    ends = 0
-    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (100, 3, 2)):
-        # two boats sail hard to one side, and fail
-        action[:2] = [1.0, 0.3]
-        a, b = native.step(action), single.step(action)
-        for ours, theirs in zip(a[:4], b[:4], strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-        for name, values in b[4]["reward_terms"].items():
-            np.testing.assert_array_equal(a[4]["reward_terms"][name], values)
-        ends += int(a[2].sum())
-    assert ends
 
 
 def test_processes_of_their_own_give_the_same_bits():

@@ -1,7 +1,5 @@
 """Worlds that differ: what is drawn, what of it is shown, and that one boat is as in many."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium as gym
@@ -11,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import usv_gym  # noqa: F401 - registers the environment
+from tests.usv_gym.envs.test_own_tasks import Line
 from usv_gym import Vessel
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.vector import USVVectorEnv
@@ -40,7 +39,7 @@ OPTIONS = st.fixed_dictionaries(
         "load": st.sampled_from([1.2, (0.7, 1.3)]),
         "sea": st.sampled_from(["0", "2", "0|2|building"]),
         "faults": st.sampled_from(["none", "gps10|none"]),
-        "task": st.sampled_from(["path", "station"]),
+        "task": st.sampled_from(["path", "station", "docking", Line]),
         "dof": st.sampled_from([3, 6]),
     },
 )
@@ -53,29 +52,42 @@ def assert_same_drawn(one: dict, many: dict, i: int) -> None:
         np.testing.assert_array_equal(many[key][i], value, err_msg=key)
 
 
-@settings(max_examples=12, deadline=None)
-@given(options=OPTIONS, seed=st.integers(0, 2**31), mode=st.sampled_from(["NextStep", "SameStep"]))
-def test_single_and_vector_draw_and_sail_the_same_worlds(options, seed, mode) -> None:
+@settings(max_examples=16, deadline=None)
+@given(
+    options=OPTIONS,
+    weight=st.sampled_from([0.5, 1.0, 2.0]),
+    seed=st.integers(0, 2**31),
+    mode=st.sampled_from(["NextStep", "SameStep"]),
+)
+def test_single_and_vector_draw_sail_and_rate_the_same_worlds(options, weight, seed, mode) -> None:
     if options.get("dof") == 6 and "kvlcc2" in options.get("vessel", ""):
         options = options | {"dof": 3}  # only some of these have a table
-    env = USVEnv(frame_skip=3, **options)
+    part = "change" if options.get("task") is Line else "effort"
+    options = options | {"reward_weights": {part: weight}}
+    env = USVEnv(frame_skip=7, **options)
     envs = USVVectorEnv(
-        3, frame_skip=3, max_episode_steps=5, autoreset_mode=mode, num_threads=2, **options
+        3, frame_skip=7, max_episode_steps=30, autoreset_mode=mode, num_threads=2, **options
     )
     obs, infos = envs.reset(seed=seed)
-    own, info = env.reset(seed=seed + 1)
-    rng = np.random.default_rng(seed)
-    for _ in range(13):
+    (own, info), over, rng = env.reset(seed=seed + 1), False, np.random.default_rng(seed)
+    for count in range(70):
         np.testing.assert_array_equal(own, obs[1])
-        if "drawn" in infos:
+        if "drawn" in info:
             assert_same_drawn(info["drawn"], infos["drawn"], 1)
-        actions = rng.uniform(-1.0, 1.0, (3, 2))
-        obs, rewards, *_, infos = envs.step(actions)
-        if "drawn" in infos:  # all episodes are equally long
+        actions = np.stack([np.ones(3), rng.uniform(-0.3, 0.3, 3)], axis=1)
+        obs, rewards, ended, cut, infos = envs.step(actions)
+        if over:  # the step after the end is the reset
+            (own, info), over = env.reset(), False
+            continue
+        own, reward, terminated, _, info = env.step(actions[1])
+        assert (reward, terminated) == (rewards[1], ended[1]), count
+        ends = bool(ended[1] or cut[1])
+        last = infos["final_info"] if mode == "SameStep" and ends else infos
+        terms = {name: last["reward_terms"][name][1] for name in info["reward_terms"]}
+        assert info["reward_terms"] == terms and info["is_success"] == last["is_success"][1]
+        if ends and mode == "SameStep":
             own, info = env.reset()
-        else:
-            own, reward, *_, info = env.step(actions[1])
-            assert reward == rewards[1] and "drawn" not in info
+        over = ends and mode == "NextStep"
     envs.close()
 
 
@@ -89,20 +101,6 @@ def test_infos_say_what_was_drawn_where_an_episode_begins() -> None:
     assert infos["_drawn"].tolist() == [True, False, False]
     assert infos["drawn"]["_load"].tolist() == [True, False, False]
     assert infos["drawn"]["faults"][1] is None and "drawn" not in infos["final_info"]
-
-
-def test_infos_of_gymnasiums_vector_environment_are_equal() -> None:
-    options = {**ALL, "twin": None, "frame_skip": 10, "max_episode_steps": 3}
-    theirs = gym.make_vec("USVTwin-v0", 2, vectorization_mode="sync", **options)
-    ours = gym.make_vec("USVTwin-v0", 2, **options)
-    found = [envs.reset(seed=3)[1]["drawn"] for envs in (theirs, ours)]
-    for _ in range(4):
-        infos = [envs.step(np.zeros((2, 2)))[-1] for envs in (theirs, ours)]
-    found += [info["drawn"] for info in infos]
-    for one, other in (found[:2], found[2:]):
-        assert set(one) == set(other)
-        for key in one:
-            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
 
 
 def test_drawn_numbers_are_those_of_the_simulated_boat() -> None:

@@ -107,17 +107,6 @@ def test_a_sea_without_a_table_has_no_loads(boat):
     assert ship_kernels.NO_LOADS.shape[0] == 0
 
 
-def test_a_boat_with_a_table_moves_in_a_batch_as_alone(boat):
-    def states(n):
-        simulation = Simulation(n, boat, SeaState(hs=0.3, wind=3.0), dof=6)
-        simulation.reset(list(range(n)), [np.random.default_rng(k) for k in range(n)])
-        for _ in range(100):
-            simulation.step(np.tile(boat.command(10.0, 0.1), (n, 1)))
-        return simulation.state.copy()
-
-    np.testing.assert_array_equal(states(1)[0], states(3)[0])
-
-
 def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):
     plain = boat.without_table()
 

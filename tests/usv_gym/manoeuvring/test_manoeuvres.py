@@ -1,7 +1,5 @@
 """Timed manoeuvres: properties of all, and the shape of each."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

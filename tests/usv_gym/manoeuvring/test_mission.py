@@ -1,7 +1,5 @@
 """A mission keeps to its legs, and is the same whatever the twin's sensors lose."""
 
-from __future__ import annotations
-
 from itertools import islice
 
 import numpy as np

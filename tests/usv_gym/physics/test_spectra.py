@@ -1,7 +1,5 @@
 """Spectra: published numbers, moments, quantiles, gusts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Waves: surface, first-order loads against quadrature, mean drift."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

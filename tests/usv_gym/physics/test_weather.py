@@ -1,7 +1,5 @@
 """Weather: course, slow wind, and what they make of gusts and loads."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Wind: Blendermann's coefficients and loads, gusts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

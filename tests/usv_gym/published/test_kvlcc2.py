@@ -4,8 +4,6 @@ Parameters: Yasukawa and Yoshimura 2015. Indices to starboard and to port: advan
 diameter in ship lengths, rate r L / U, overshoots in degrees.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

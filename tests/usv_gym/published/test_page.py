@@ -1,7 +1,5 @@
 """The validation page has the tables that its script prints."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

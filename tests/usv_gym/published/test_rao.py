@@ -1,7 +1,5 @@
 """Response amplitudes: limits, linearity, encounter frequency."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Constants of wave and gust spectra, wind loads and mean drift, beside separate computations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speeds, turns and zigzags of the small boats beside separate code with the same equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

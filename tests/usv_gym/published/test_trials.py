@@ -1,7 +1,5 @@
 """Trials of examples/validation: closed forms, symmetry, scaling, recorded runs of KVLCC2."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

@@ -1,7 +1,5 @@
 """An autopilot that speaks ArduPilot's JSON interface, and parses as strictly as ArduPilot does."""
 
-from __future__ import annotations
-
 import math
 import re
 import struct

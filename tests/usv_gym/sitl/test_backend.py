@@ -1,7 +1,5 @@
 """The backend of an autopilot: its protocol, and the physics that its sensors are made of."""
 
-from __future__ import annotations
-
 import math
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Parameters of an autopilot from a vessel's own trials."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Geometric models: closed surfaces of the given size and volume."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Vessels whose motion runs away are found and refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from importlib import resources
@@ -120,7 +118,8 @@ def test_simulate_and_check_refuse_a_runaway_and_write_nothing(tmp_path):
     assert not out.exists()
 
 
-def mutants(count: int, seed: int, folder: Path) -> None:
+@pytest.mark.parametrize(("count", "seed"), [(40, 3), pytest.param(300, 1, marks=pytest.mark.slow)])
+def test_mutated_vessels_are_refused_or_sail(count: int, seed: int, tmp_path: Path) -> None:
     """One number of a shipped file is multiplied by up to a million, turned round or zero."""
     rng = np.random.default_rng(seed)
     refused = sailed = late = 0
@@ -131,11 +130,11 @@ def mutants(count: int, seed: int, folder: Path) -> None:
         chosen = numbers[int(rng.integers(len(numbers)))]
         factor = (10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(0, 7), -1.0, 0.0)
         value = float(chosen[2]) * factor[int(rng.integers(4))]
-        (folder / "mutant.toml").write_text(
+        (tmp_path / "mutant.toml").write_text(
             f"{text[: chosen.start(2)]}{value!r}{text[chosen.end(2) :]}"
         )
         try:
-            boat = Vessel.load(folder / "mutant.toml")
+            boat = Vessel.load(tmp_path / "mutant.toml")
         except VesselError:
             continue
         for dof in (3, 6):
@@ -151,12 +150,3 @@ def mutants(count: int, seed: int, folder: Path) -> None:
             assert np.isfinite(state).all()
     assert sailed > 0.5 * count and refused > 0.05 * count
     assert late <= 3 + 0.02 * count  # grows over half a minute; no row was written
-
-
-def test_mutated_vessels_are_refused_or_sail(tmp_path):
-    mutants(40, 3, tmp_path)
-
-
-@pytest.mark.slow
-def test_many_mutated_vessels_are_refused_or_sail(tmp_path):
-    mutants(300, 1, tmp_path)

@@ -1,7 +1,5 @@
 """A link to an autopilot over a socket: rows of its receiver, and the hand-over at a loss."""
 
-from __future__ import annotations
-
 import math
 import socket
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The example that gives ArduPilot a mission, against one that asks for it item by item."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

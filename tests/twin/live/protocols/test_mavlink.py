@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of, example, with_motion
+from tests.twin.live.wire import Wire, example
 from twin.channels import (
     ACCEL_Z,
     AHRS_PITCH,
@@ -17,7 +15,9 @@ from twin.channels import (
     GYRO_Y,
 )
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.motion import MotionEstimate
 from twin.particulars import Particulars
+from twin.predictors.base import Estimate
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 
 common = pytest.importorskip(
@@ -211,7 +211,9 @@ def test_rates_of_the_attitude_go_before_gyros_until_they_stop(wire: Wire) -> No
 
 def test_odometry_of_a_heeled_boat_is_turned_back_by_its_quaternion() -> None:
     """As AP_VisualOdom_MAV does: what it turns to north, east and down is that of the estimate."""
-    estimate = with_motion(estimate_of(0.0))
+    now = MotionEstimate(0.0, 0.1, -0.05, 0.01, -0.02, 0.2, 0.25, 0.3, np.full(4, 0.01))
+    s, none = np.array([100.0, -50.0, 0.3, 5.0, 0.5, 0.1]), np.zeros(0)
+    estimate = Estimate(0.0, s, np.full(6, 0.5), none, none, True, motion=now)
     (odometry,) = common.MAVLink(None).parse_buffer(MavlinkWriter().odometry(7.0, estimate))
     turn = turned(odometry.q)
     assert np.arctan2(turn[2, 1], turn[2, 2]) == pytest.approx(0.1)

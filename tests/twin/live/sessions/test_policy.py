@@ -1,7 +1,5 @@
 """An agent in the view sails the episode of its evaluation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

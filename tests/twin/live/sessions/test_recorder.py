@@ -1,7 +1,5 @@
 """Logs that are written as the boat sails."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,22 +1,20 @@
 """Runs behind a view: simulated, recorded and fed."""
 
-from __future__ import annotations
-
 import errno
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.twin.live.wire import setup, wait
 from twin import Log, Particulars, Twin
 from twin.digital_twin import TwinError
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
-from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from twin.live.sessions.simulated import SimulatedSession
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from twin.logs.datum import Datum, Plane
 from twin.logs.wire.feed import Feed
@@ -25,11 +23,6 @@ from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
 
 VESSEL = Vessel.load("usv75")
-
-
-def setup(**options: object) -> SimulationSetup:
-    given = {"vessel": VESSEL, "sea": SeaState.named("2"), "predictor": "ukf", "seed": 5}
-    return SimulationSetup(**(given | options))  # type: ignore[arg-type]
 
 
 def sail(session: SimulatedSession, seconds: float) -> None:
@@ -42,18 +35,11 @@ def sail(session: SimulatedSession, seconds: float) -> None:
         session._anchor = time.monotonic() - (end - session.t) - 1e-6, session.t
 
 
-def wait(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
-
-
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_same_seed_same_run(autopilot, tmp_path):
     ends = []
     for _ in range(2):
-        session = SimulatedSession(setup(), tmp_path, autopilot)
+        session = SimulatedSession(setup(predictor="ukf"), tmp_path, autopilot)
         sail(session, 15.0)
         ends.append((session.simulation.state.copy(), session.monitor.twin.estimate().state))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
@@ -62,7 +48,7 @@ def test_same_seed_same_run(autopilot, tmp_path):
 
 
 def test_helm_and_throttle_steer(tmp_path):
-    session = SimulatedSession(setup(sea=SeaState()), tmp_path)
+    session = SimulatedSession(setup(predictor="ukf", sea=SeaState()), tmp_path)
     sail(session, 5.0)
     straight = session.simulation.state[0, fr.PSI]
     session.helm.angle = math.radians(20.0)
@@ -104,7 +90,7 @@ def test_gps_and_imu_are_lost_and_found_again(tmp_path):
 
 
 def test_the_weather_changes_under_way(tmp_path):
-    session = SimulatedSession(setup(sea=SeaState()), tmp_path)
+    session = SimulatedSession(setup(predictor="ukf", sea=SeaState()), tmp_path)
     sail(session, 3.0)
     assert not session._look().sea.waves.any()
     session.order(session.change_sea, SeaState.named("4"))
@@ -120,7 +106,7 @@ def test_the_weather_changes_under_way(tmp_path):
 
 
 def test_a_restart_sails_the_same_run_again(tmp_path):
-    session = SimulatedSession(setup(), tmp_path, "zigzag")
+    session = SimulatedSession(setup(predictor="ukf"), tmp_path, "zigzag")
     sail(session, 5.0)
     first = session.simulation.state.copy(), session.monitor.twin.estimate().state
     session.order(session.restart)
@@ -132,7 +118,7 @@ def test_a_restart_sails_the_same_run_again(tmp_path):
 
 
 def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
-    session = SimulatedSession(setup(), tmp_path, "zigzag")
+    session = SimulatedSession(setup(predictor="ukf"), tmp_path, "zigzag")
     sail(session, 2.0)
     session.record(True)
     sail(session, 6.0)
@@ -195,7 +181,7 @@ def test_a_log_that_the_disk_does_not_take_ends_and_the_boat_sails_on(tmp_path, 
 
 
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
-    session = SimulatedSession(setup(), tmp_path)
+    session = SimulatedSession(setup(predictor="ukf"), tmp_path)
     session.set_scale(5.0)
     session.start()
     wait(lambda: session.snapshot is not None)
@@ -239,13 +225,10 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
         np.testing.assert_allclose(now.overlay.ahead, mean)
         later = log.slice(now.t + 1e-6, now.t + HORIZON + 1e-6)
         np.testing.assert_array_equal(now.ahead, later.truth[:, :2])
-        np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], twin_row(log, now.t))
+        row = np.argmin(np.abs(log.t - now.t))
+        np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], log.truth[row, :2])
         assert session.history().t[-1] <= t + 1e-6
     session.stop()
-
-
-def twin_row(log: Log, t: float) -> np.ndarray:
-    return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
 
 
 def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):

@@ -1,7 +1,5 @@
 """What is shown of a twin, and how its errors are measured."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A session that is served until the end of a test."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Which HTTP requests and WebSockets a view answers."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import socket
@@ -12,7 +10,7 @@ import pytest
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from tests.twin.live.ui.test_viewer import setup, wait  # noqa: E402
+from tests.twin.live.wire import setup, wait  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
 from twin.live.ui import server  # noqa: E402
 from twin.live.ui.access import AccessError  # noqa: E402

@@ -1,7 +1,5 @@
 """What the panel says of sensors and of the current, without a browser."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

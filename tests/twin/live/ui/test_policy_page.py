@@ -1,7 +1,5 @@
 """The page of an agent that sails, and what ``usv-twin view --policy`` refuses."""
 
-from __future__ import annotations
-
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path

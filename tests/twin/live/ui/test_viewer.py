@@ -1,7 +1,5 @@
 """The view in a real browser, with many browsers, and from the command line."""
 
-from __future__ import annotations
-
 import math
 import re
 import signal
@@ -10,18 +8,17 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import free_port, viewing
+from tests.twin.live.wire import free_port, setup, viewing, wait
 from twin import Log, Twin, recorded_runs
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
-from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from twin.live.sessions.simulated import SimulatedSession
 from twin.logs.wire.nmea import NmeaFeed
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -36,19 +33,6 @@ VESSEL = Vessel.load("usv75")
 REPLAY = Path(__file__).parents[4] / "examples" / "replay.py"
 SHOTS = Path(__file__).parents[3] / "screenshots"
 """Kept for people to look at; git ignores it."""
-
-
-def setup(**options: object) -> SimulationSetup:
-    given = {"vessel": VESSEL, "sea": SeaState.named("2"), "seed": 5}
-    return SimulationSetup(**(given | options))  # type: ignore[arg-type]
-
-
-def wait(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
-    return found
 
 
 def status(driver: Any) -> dict[str, str]:

@@ -1,7 +1,5 @@
 """Nets that come with the package: dimensionless, causal, and answered without torch."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import subprocess

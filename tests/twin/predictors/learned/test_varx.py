@@ -1,66 +1,25 @@
 """The autoregression: finds a linear boat, refits, looks only back, survives bad input."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from tests.twin.predictors.learned.spoiled import spoiled
+from tests.twin.predictors.learned.test_learners import (
+    BOAT,
+    HORIZON,
+    assert_beats_persistence,
+    fitted,
+    history,
+)
 from twin.channels import MEASUREMENTS
-from twin.particulars import Particulars
-from twin.predictors.baselines import GRID, Persistence, hold_velocity
-from twin.predictors.learned.features import integrate, lagged, thrust_features
+from twin.predictors.baselines import GRID, hold_velocity
+from twin.predictors.learned.features import lagged
 from twin.predictors.learned.varx import VARPredictor
 
-BOAT = Particulars(
-    name="test", length=6.0, beam=2.5, draft=0.5, mass=3000.0, speed=5.0, shaft_speed=20.0
-)
 SHIP = dataclasses.replace(BOAT, length=3.0, speed=0.5)
-HORIZON = 40
 KINDS = ("drives", "one screw", "differential")
-
-
-def history(n: int = 400, kind: str = "drives", boat: Particulars = BOAT) -> np.ndarray:
-    """Return rows (n, 14) of a boat that is linear in the thrust of its actuators."""
-    rng = np.random.default_rng(0)
-    scale = np.array([boat.speed, boat.speed, boat.speed / boat.length])
-    slow = boat.length / boat.speed / (BOAT.length / BOAT.speed)
-    rows = np.zeros((n, 14))
-    nu = np.array([0.8, 0.0, 0.0])
-    cmd = act = np.array([boat.shaft_speed] * 2 + [0.0, 0.0])
-    for k in range(n):
-        rows[k, 6:10], rows[k, 10:] = cmd, act
-        rows[k, 3:6] = nu * scale
-        if k % round(20 * slow) == 0:
-            throttle, angle = rng.uniform(0.7, 1.0, 2), rng.uniform(-0.35, 0.35)
-            throttle = throttle if kind == "differential" else throttle[:1]
-            helm = 0.0 if kind == "differential" else angle
-            cmd = np.concatenate([boat.shaft_speed * throttle * np.ones(2), [helm, helm]])
-        after = lagged(act, cmd, GRID, boat)
-        push = 0.5 * (thrust_features(act) + thrust_features(after)) / boat.shaft_speed**2
-        act = after
-        ahead, aside = push[:2].mean(), push[2:4].mean() + 0.3 * (push[0] - push[1])
-        tau = 0.1 / slow
-        nu = nu + tau * np.array([ahead - nu[0], 0.3 * aside - nu[1], 2.0 * aside - 2.0 * nu[2]])
-    rows[1:, :6] = integrate(rows[:1, :6], rows[None, :, 3:6])[0]
-    return rows
-
-
-def learned(rows: np.ndarray, boat: Particulars = BOAT) -> VARPredictor:
-    """Return a predictor that was fitted to rows."""
-    predictor = VARPredictor(boat)
-    sound = np.zeros(len(rows), dtype=np.bool_)
-    predictor._fit = predictor._solve(predictor._products_of(rows, sound, 0))
-    return predictor
-
-
-def ask(predictor: VARPredictor | Persistence, rows: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Return forecasts over the horizon under the commands that followed."""
-    ahead = origins[:, None] + np.arange(1, HORIZON + 1)
-    return predictor.forecast(rows, origins, rows[ahead, 6:10])
 
 
 def feed(predictor: VARPredictor, rows: np.ndarray, dt: float = GRID, first: float = 0.0) -> None:
@@ -75,27 +34,17 @@ def feed(predictor: VARPredictor, rows: np.ndarray, dt: float = GRID, first: flo
 def test_finds_a_linear_boat(kind: str) -> None:
     """On rows after the fit it is next to exact: the boat is of the family that is fitted."""
     rows = history(kind=kind)
-    origins = np.arange(245, 400 - HORIZON, 4)
-    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
-    ours = np.abs(ask(learned(rows[:241]), rows, origins) - truth).mean(axis=(0, 1))
-    held = np.abs(ask(Persistence(BOAT), rows, origins) - truth).mean(axis=(0, 1))
     # what the ridge of 3e-3 leaves
-    assert (ours < 0.1 * held).all(), (ours, held)
+    assert_beats_persistence(fitted(rows[:241]), rows, np.arange(245, 400 - HORIZON, 4), 0.1)
 
 
 def test_a_slow_ship_has_longer_steps() -> None:
     """The step follows the time in which a ship sails its length; any horizon will do."""
     assert VARPredictor(BOAT).stride == 1
-    predictor = learned(history(2000, boat=SHIP)[:1600], SHIP)
+    predictor = fitted(history(2000, boat=SHIP)[:1600], SHIP)
     assert predictor.stride == 5
     rows = history(2000, boat=SHIP)
-    origins = np.arange(1605, 1900, 10)
-    truth = rows[origins[:, None] + np.arange(1, HORIZON + 1), :6]
-    ours, held = (
-        np.abs(ask(p, rows, origins) - truth).mean(axis=(0, 1))
-        for p in (predictor, Persistence(SHIP))
-    )
-    assert (ours < 0.2 * held).all(), (ours, held)
+    assert_beats_persistence(predictor, rows, np.arange(1605, 1900, 10), 0.2)
     plan = rows[None, 1606:1646, 6:10]
     whole = predictor.forecast(rows, np.array([1605]), plan)
     for K in (1, 4, 5, 13):
@@ -104,25 +53,6 @@ def test_a_slow_ship_has_longer_steps() -> None:
         exact = K // predictor.stride * predictor.stride
         assert part.shape == (1, K, 6)
         np.testing.assert_allclose(part[:, :exact], whole[:, :exact], atol=1e-12)
-
-
-def test_forecast_uses_no_later_row() -> None:
-    """Rows after an origin do not change its forecast, rows before do; each stands alone."""
-    rows = history()
-    predictor = learned(rows[:241])
-    origins = np.array([1, 250, 300])
-    plans = rows[origins[:, None] + np.arange(1, HORIZON + 1), 6:10]
-    before = predictor.forecast(rows, origins, plans)
-    for j in range(3):
-        alone = predictor.forecast(rows, origins[j : j + 1], plans[j : j + 1])[0]
-        np.testing.assert_allclose(alone, before[j], atol=1e-9)
-    later = rows.copy()
-    later[301:] = np.nan
-    assert np.array_equal(predictor.forecast(later, origins, plans), before)
-    later[251:, 3:6] += 0.1
-    after = predictor.forecast(later, origins, plans)
-    assert np.array_equal(after[:2], before[:2])
-    assert not np.array_equal(after[2], before[2])
 
 
 def test_refits_in_time_and_forgets() -> None:
@@ -152,28 +82,7 @@ def test_refits_in_time_and_forgets() -> None:
     assert predictor._fit is None and predictor._due == predictor.first
 
 
-HOLDS = ("few rows", "one row", "all NaN")
-
-
-@pytest.mark.parametrize(
-    "kind", ["constant", "at rest", "some NaN", "wild", "growing", "noise", *HOLDS]
-)
-def test_forecasts_are_always_finite_and_within_the_envelope(kind: str) -> None:
-    """Whatever the past, forecasts are finite and bounded."""
-    rows = spoiled(history(241), kind, 10)
-    predictor = learned(rows)
-    assert (predictor._fit is None) == (kind in HOLDS)
-    origins = np.unique(np.linspace(0, len(rows) - 1, 30).astype(int))
-    plans = np.random.default_rng(2).normal(scale=50.0, size=(len(origins), HORIZON, 4))
-    plans[::3, 7] = np.nan
-    plans[0, 9] = 1e200
-    path = predictor.forecast(rows, origins, plans)
-    assert path.shape == (len(origins), HORIZON, 6)
-    assert np.isfinite(path).all()
-    assert (np.abs(path[..., 3:]) <= predictor.bound + 1e-9).all()
-
-
-def test_slow_irregular_rows_without_velocities_are_learned() -> None:
+def test_slow_irregular_rows_without_velocities_are_fitted() -> None:
     """Rows a second apart, some missing, positions and headings alone: it still predicts."""
     rows = history(481)[::4]
     predictor = VARPredictor(BOAT)
