@@ -35,6 +35,10 @@ from twin.model.dynamics import rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import (
     BY_CURRENT,
+    BY_PSI,
+    BY_R,
+    BY_U,
+    BY_V,
     CURRENT,
     LEFT_COS,
     N_STATES,
@@ -42,10 +46,10 @@ from twin.model.structure import (
     WIND_N,
     WIND_X,
     current_of,
+    term_slopes,
     through_water,
     thrust_terms,
 )
-from twin.model.term_slopes import BY_PSI, BY_R, BY_U, BY_V, term_slopes
 from twin.model.thrust_share import SIDES
 from usv_kernel.arrays import take
 from usv_kernel.errors import UsvTwinError
