@@ -100,7 +100,7 @@ class UKFWorkspace(NamedTuple):
 
 
 def workspace(n_s: int, n_xi: int) -> UKFWorkspace:
-    """Return a workspace for so many states and parameters; zeros."""
+    """Return a workspace of zeros for n_s states and n_xi parameters."""
     return UKFWorkspace(*np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1))))
 
 

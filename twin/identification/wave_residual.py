@@ -37,7 +37,7 @@ __all__ = [
 ORDER = 6
 
 RIDGE = 1e-3
-"""Part of the variance that is taken for white noise of the estimate."""
+"""Share of the variance that is treated as white noise of the estimate."""
 
 ROOT_MAX = 0.98
 """Largest root of what predicts, and largest reflection coefficient of what is drawn: waves die

@@ -102,14 +102,14 @@ N_STATES = 6
 ) = range(52)  # fmt: skip
 
 N_TERMS = BY_CURRENT + 6
-"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
-before UUU are in every structure, the others of the state where all terms are needed. The six
-from BY_CURRENT on are slopes by the current: north and east, in surge, sway and yaw. They are 0 but
-where a model is linearised."""
+"""Number of regressors. Those before LEFT_COS depend on the state, the rest on the actuators alone;
+those before UUU, a multiple of four, are in every structure, the others of the state in ``mmg``.
+The six from BY_CURRENT on are slopes by the current: north and east, in surge, sway and yaw. They
+are 0 but where a model is linearised."""
 
 FULL, HEADING, LENGTH, SOFT, CURRENT = range(5)
-"""Hull constants: 1 where all terms are needed, 1 where the heading is, length (m), softening
-(m2/s2), index of the current's two components among the parameters (-1 if there are none)."""
+"""Places of the hull's constants: 1 where all regressors are computed, 1 where the heading is
+needed, length (m), softening (m2/s2), index of the current's first parameter (-1 without)."""
 
 CURRENT_SD = 0.3
 CURRENT_SHARE = 0.1

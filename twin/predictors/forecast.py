@@ -1,4 +1,4 @@
-"""The forecast of every predictor with a model, of one boat or many: a mean, and how sure it is.
+"""The forecast of every predictor with a model, of one boat or many: mean and covariance.
 
 The mean is a rollout of the model from the filter's state; where waves are known, from the
 low-frequency velocities, and the waves of the moment carry the boat along. Its covariance is that
@@ -23,7 +23,7 @@ from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.interval_scale import factor_ahead
 from twin.identification.joint_ukf import (
-    DOUBTED,
+    DOUBTED_VELOCITY_SD,
     clip_velocities,
     filter_config,
     filter_state,
@@ -72,17 +72,17 @@ __all__ = [
 Array = NDArray[Any]
 
 PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
-"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
+"""Factors of the fitted parameters' deviation from the prior that are tried in turn."""
 
-WAVE_GAIN = 0.25
-"""The gain of the predicted waves, 1/s: half of them carry the boat to and fro, and pass."""
+WAVE_GAIN_PER_S = 0.25
+"""Gain with which predicted waves enter the velocities."""
 
-START_WAVE = 0.3
-"""Error of the observer's velocity, in standard deviations of the waves."""
+START_WAVE_SD = 0.3
+"""Standard deviation of the observer's velocity, in standard deviations of the waves."""
 
-TAMED = (1.0, 0.5, 0.5)
-"""Parts of their deviation from the mean that parameters of a wild draw keep, in turn, until a
-boat could sail it. The first is whole: that rollout has steps of its own."""
+DRAW_SHRINKAGE = (1.0, 0.5, 0.5)
+"""Factors, applied in turn, of the deviation of drawn parameters from the mean until their rollout
+is plausible. The first is 1: that rollout chooses integration steps of its own."""
 
 _ROLLOUT = rollout_size()
 
@@ -250,7 +250,7 @@ def is_plausible(states, fastest, nominal, share):
 
 @inlined
 def _limit_deviation(cov, i, most):
-    """Scale one deviation of a covariance down, in place, to at most so much."""
+    """Limit one standard deviation of a covariance, in place."""
     factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
     if factor < 1.0:
         for k in range(cov.shape[0]):
@@ -312,7 +312,7 @@ def forecast_mean(plan, dt, begin, given, out):
     """
     scale_plan(plan, given.n_unit, out.plan)
     start = RolloutStart(begin.start, out.params, begin.act, begin.wind)
-    waves, paths = Waves(begin.means, WAVE_GAIN), Paths(out.states, out.act)
+    waves, paths = Waves(begin.means, WAVE_GAIN_PER_S), Paths(out.states, out.act)
     steps, share = 1, drive_share(out.plan, given.n_nominal, given.driven)
     for part in PRIOR_SHRINKAGE:
         for k in range(begin.params.shape[0]):
@@ -441,9 +441,9 @@ def draw_ahead(mean, mean_dt, sources, config, normal, out):
         for k in range(N_STATES):
             small[i, k] = P_nav[i, k]
         if i >= 3:
-            small[i, i] += (START_WAVE * window.wave_sd[i - 3]) ** 2
+            small[i, i] += (START_WAVE_SD * window.wave_sd[i - 3]) ** 2
             if nav.commands_doubted > 0.0:
-                small[i, i] += (DOUBTED * given.envelope[i - 3]) ** 2
+                small[i, i] += (DOUBTED_VELOCITY_SD * given.envelope[i - 3]) ** 2
     cholesky(small, small, out.line)
     out.shocks[:] = 0.0
     for d in range(D + 1):
@@ -475,7 +475,7 @@ def draw_ahead(mean, mean_dt, sources, config, normal, out):
         member = slice(d, d + 1)
         start = RolloutStart(out.starts[member], out.params[member], state.act, state.wind)
         waves, paths = Waves(out.means[member], gain), Paths(out.states[member], out.act)
-        for part in TAMED:
+        for part in DRAW_SHRINKAGE:
             if is_plausible(out.states[d], state.fastest, given.nominal, share):
                 break
             for k in range(p):

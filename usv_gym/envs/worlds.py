@@ -42,7 +42,7 @@ DRAWN = (
 
 _KIND, _LOAD, _WIND_FROM, _CURRENT, _CURRENT_TO, _HEADING = range(6)
 _NUMBERS = 6
-"""Uniform numbers of an episode: all are drawn, so that none hangs on which options are set."""
+"""Uniform numbers of an episode: all are drawn, so that none depends on the options."""
 
 _KIND_AT = field_at(WORLD, "kind")
 _LOAD_AT = field_at(WORLD, "load")

@@ -169,7 +169,7 @@ _FACTORS = {"zero": 0.0, "sign": -1.0}
 AMOUNT_MAX = 1e9
 """Largest amount of a fault."""
 
-DELAY_MAX = 300.0
+DELAY_MAX_S = 300.0
 """Longest delay and longest stall, s: all rows of that time are kept."""
 
 PARTNERS = (1, 0, 3, 2, 4, 5, 7, 6, 9, 8, 10, 12, 11, 13, 14, 15, 16, 18, 17, 20, 19)
@@ -289,7 +289,7 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{kind} fault: {effect!r} takes no amount, got {self.amount!r}; leave it out"
             )
-        low, high = (1e-3, DELAY_MAX) if effect == "late" else (-AMOUNT_MAX, AMOUNT_MAX)
+        low, high = (1e-3, DELAY_MAX_S) if effect == "late" else (-AMOUNT_MAX, AMOUNT_MAX)
         if not (is_finite(self.amount) and low <= self.amount <= high):
             raise FaultError(
                 f"{kind} fault: the amount of {effect!r} must be a number from {low:g} to "
@@ -306,9 +306,9 @@ class Disturbance(ABC):
 
     def _check_stall(self) -> None:
         """Refuse a stall of more rows than can be kept."""
-        if self.effect == "stall" and not self._longest() <= DELAY_MAX:
+        if self.effect == "stall" and not self._longest() <= DELAY_MAX_S:
             raise FaultError(
-                f"{self.kind} fault: a stall must last {DELAY_MAX:g} s at most, got "
+                f"{self.kind} fault: a stall must last {DELAY_MAX_S:g} s at most, got "
                 f"{self._longest():g} s; use windows that are shorter, and no bursts"
             )
 

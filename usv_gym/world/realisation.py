@@ -288,7 +288,7 @@ def _turned(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
     order = np.arange(-(K // 2), K // 2 + 1)
     lobes = np.fft.fft(values, axis=1)[:, order] / K * np.exp(1j * np.outer(to, order))[:, :, None]
     lobes[:, [0, -1]] *= 0.5  # K / 2 lobes turn either way
-    # lobes that are alike at these headings are one. No matrix product: its rounding hangs on
+    # lobes that are alike at these headings are one. No matrix product: its rounding depends on
     # where the numbers lie
     folded = np.zeros((len(values), H, values.shape[2]), dtype=complex)
     for k, n in enumerate(order % H):

@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 DONE, NOT_FINITE, RAN_AWAY = range(3)
-"""What became of a step: done; not done, as actions were not finite;
+"""Result of a step: done; not done, as actions were not finite;
 done, but a boat has run away."""
 
 DT_RANGE = 1e-4, 10.0
@@ -65,7 +65,7 @@ Ctrl-C is heard between calls."""
 STATE_MAX = 1e9
 """Bound of every entry of a plausible state, SI units."""
 
-PLACE_MAX = 1e6
+START_MAX_M = 1e6
 """Farthest start from the origin along each axis, m."""
 
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
@@ -481,7 +481,7 @@ class Simulation:
         if np.shape(at) != (2,):
             raise SimulationError(f"at = {at!r}: must be two numbers, m north and east")
         for number in at:
-            check_number("at", number, -PLACE_MAX, PLACE_MAX, SimulationError)
+            check_number("at", number, -START_MAX_M, START_MAX_M, SimulationError)
         u, n = self.kinds[0].speed, self.kinds[0].shaft_speed
         if speed is not None:
             most = self.vessel.values["shaft_speed_max"]
