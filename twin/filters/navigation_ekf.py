@@ -233,7 +233,7 @@ def _is_contaminated(nav, i):
 
 @inlined
 def _begin_again(nav, settings):
-    """Begin again where a sensor that is left out now has led the state astray."""
+    """Restart the states that a sensor, now excluded, has corrupted."""
     n, P, restart = nav.n, nav.P, nav.restart
     state, cov = restart.state, restart.cov
     whole, heading, surge = restart.position > 0.0, restart.heading > 0.0, restart.surge > 0.0
@@ -272,7 +272,7 @@ def _begin_again(nav, settings):
 
 @inlined
 def lacks_gps(nav):
-    """Return whether the navigation goes without fixes."""
+    """Return whether the GPS is lost."""
     return nav.gps_age > LOST_AFTER_S
 
 
@@ -302,7 +302,7 @@ def is_ready(nav):
 
 @kernel
 def _start(nav, z, settings):
-    """Take heading and fix as they come, until both are there."""
+    """Start from heading and fix, once both have come."""
     n, P = nav.n, nav.P
     speed = settings.velocity_var_0
     fastest = SPEED_LIMIT * math.sqrt(speed)
@@ -376,7 +376,7 @@ def _expected(j, past, before, settings, H):
 
 
 @kernel
-def _take_fix(nav, z, dt, repeats, settings, work):
+def _correct_by_fix(nav, z, dt, repeats, settings, work):
     """Correct by position and velocity of the antenna when the fix was taken."""
     n, P, H, before = nav.n, nav.P, work.H, work.before
     past = past_motion(nav, settings, work.past[:])
@@ -547,7 +547,7 @@ def navigate(nav, dt, z, model, settings, work):
     if abs(z[COMPASS]) < HEADING_MAX_RAD:
         _correct_by_compass(nav, z, compass_repeats, settings, work)
     if not gps_repeats or nav.unchanged[0] >= FROZEN_S:
-        _take_fix(nav, z, dt, gps_repeats, settings, work)
+        _correct_by_fix(nav, z, dt, gps_repeats, settings, work)
     nav.since_lost += dt
     nav.unsettled = max(nav.unsettled - dt, 0.0)
     if nav.lost > 0.0:

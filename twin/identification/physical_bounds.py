@@ -59,7 +59,7 @@ def physical_bounds(
     speed, shaft_speed : float
         Nominal, m/s and rev/s.
     share : float
-        At least so much of what the prior says of damping and thrust is left.
+        Least damping and thrust, as a share of the prior's.
     """
     which, hull = structure.terms.which, structure.terms.hull
     nominal = structure.n_unit * shaft_speed
@@ -95,7 +95,7 @@ def _is_physical(x, bounds):
 
 @inlined
 def keep_physical(x, P, bounds, gain):
-    """Cut a joint estimate off at the bounds of its parameters.
+    """Truncate a joint estimate at the bounds of its parameters.
 
     ``gain`` (6 + p,) is scratch.
     """

@@ -184,7 +184,7 @@ def discard_before(before, state):
 
 @kernel
 def relinearise(budget, rows, xi, state, config, model, work):
-    """Relinearise at parameters, those segments first from which they have moved most."""
+    """Relinearise at parameters, first those segments whose linearisation point is farthest."""
     first, moved = state.first, work.solve.moved
     for i in range(first.shape[0]):
         moved[i] = -1.0
@@ -410,7 +410,7 @@ class Segments:
         return q
 
     def objective(self, xi: Array) -> float:
-        """Return what :meth:`solve` makes small, by the quadratics."""
+        """Return the objective of :meth:`solve`, by the quadratics."""
         q = self.costs(xi)
         knee, offset = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
@@ -430,9 +430,9 @@ class Segments:
             use(self.params, self.work.solve.U, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
-        """Iterate to the least of the true objective; return whether it converged.
+        """Minimise the true objective; return whether the iteration converged.
 
-        Levenberg-Marquardt over ``rows`` (M, 20), at most so many iterations, until the objective
+        Levenberg-Marquardt over ``rows`` (M, 20), at most ``iterations`` times, until the objective
         falls by less than the share ``tolerance`` of itself.
         """
         many, damping = len(self.first), 0.0

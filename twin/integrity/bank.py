@@ -278,7 +278,7 @@ def bank_settings(particulars: Particulars) -> Array:
 
 @inlined
 def convert(one, gyro, accelerometers, given):
-    """Give the states of gyro and accelerometers the meaning that they have from now on."""
+    """Change the states of gyro and accelerometers to biases, or to yaw rate and acceleration."""
     if one.uses_gyro != gyro:
         one.uses_gyro = gyro
         for j in range(STATES):
@@ -418,7 +418,7 @@ def _numbers(aid):
 
 
 @kernel
-def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given):
+def _test_and_correct(one, aid, bank, age, variance, span, rate, north, east, failing, given):
     """Test and correct a filter by an aid."""
     numbers, level, gain = _numbers(aid), bank.level[aid, 0], alloca_f64(STATES)
     c, s = math.cos(one.x[PSI]), math.sin(one.x[PSI])
@@ -453,7 +453,7 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given
 
 @inlined
 def _samples(one, aid, window, bank):
-    """Return how many white innovations a mean over a window is worth."""
+    """Return the effective number of white innovations in a mean over a window."""
     span = max(bank.interval[aid], EPOCH_S)
     return max(min(one.seen[aid] / span, 2.0 * WINDOWS_S[window] / span - 1.0), 1.0)
 
@@ -517,7 +517,7 @@ def _keep_last(bank, aid, z):
 
 @kernel
 def begin_at_fix(one, bank, given):
-    """Let position and velocity of a filter begin with the last ones of the GPS."""
+    """Set position and velocity of a filter to the last ones of the GPS."""
     for i in range(PN, VE + 1):
         for j in range(STATES):
             one.P[i, j] = one.P[j, i] = 0.0
@@ -528,7 +528,7 @@ def begin_at_fix(one, bank, given):
 
 @kernel
 def begin_anew(bank, given):
-    """Let every filter begin near the last fix, as if nothing else had been known."""
+    """Begin every filter near the last fix, with all else unknown."""
     for k in range(FILTERS):
         one = bank.filters[k]
         for i in range(STATES):
@@ -672,7 +672,7 @@ def _advance_filter(k, bank, given, sound, failing):
             variance = (bank.push_var[0], bank.push_var[1])
         span = max(bank.interval[aid], EPOCH_S) if bank.interval[aid] > 0.0 else T
         age = bank.age_sum[aid] if aid < SENSED else 0.0
-        _take(one, aid, bank, age, variance, span, rate, north, east, failing, given)
+        _test_and_correct(one, aid, bank, age, variance, span, rate, north, east, failing, given)
         if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
@@ -680,7 +680,7 @@ def _advance_filter(k, bank, given, sound, failing):
 
 @inlined
 def _learn_motion(bank):
-    """Learn how large accelerations are, and how fast they and the yaw rate change."""
+    """Learn the variance of accelerations, and time constants of these and of the yaw rate."""
     T, share = bank.span, min(bank.span / LEARN_S, 0.1)
     has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
     forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
@@ -733,7 +733,7 @@ def _pass_gap(dt, z, bank, given):
 
 @kernel
 def _end_epoch(bank, given):
-    """Let the filters take the samples of an epoch; no epoch spans a gap between rows."""
+    """Update the filters by the samples of an epoch; no epoch spans a gap between rows."""
     _end_sums(bank)
     biased = bank.filters[0].uses_accelerometers > 0.0 and bank.samples[THRUST] > 0.0
     for i in range(2):

@@ -269,7 +269,7 @@ def _log_likelihood(error, S):
 
 @inlined
 def _weight(drives, axis):
-    """Return the share of independent residuals, by the correlation of neighbouring ones."""
+    """Return the effective share of independent residuals, by their lag-one correlation."""
     r = min(max(drives.product[axis], 0.0), 0.9)
     return (1.0 - r) / (1.0 + r)
 
@@ -351,7 +351,7 @@ def _write_likelihoods(
 
 
 @kernel
-def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
+def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
@@ -395,8 +395,8 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
 
 
 @kernel
-def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
-    """Hold turns by gyro and by compass against that by the commands alone.
+def _compare_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
+    """Compare the turns by gyro and by compass with that by the commands alone.
 
     ``gyro`` is the yaw rate at the end of the step.
     """
@@ -414,7 +414,7 @@ def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
 
 
 @kernel
-def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
+def _write_accelerations(drives, surge, changes, sway, turned, span, h, has_gps, given):
     """Write the accelerations that the commands make in a step, and learn their error variance.
 
     ``surge`` is that by the commands alone when the step began.
@@ -434,7 +434,7 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
 
 @kernel
 def _follow(drives, yaw, surge, sway, span, trained, given):
-    """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
+    """Correct the motion by the commands alone towards the true one; learn the sway of turns."""
     fade = 1.0 - 1.0 / MEMORY_STEPS
     drives.drift[0] = fade * drives.drift[0] + sway * yaw
     drives.drift[1] = fade * drives.drift[1] + yaw * yaw
@@ -453,7 +453,7 @@ def _follow(drives, yaw, surge, sway, span, trained, given):
 
 @inlined
 def _is_idle(drives, yaw, surge):
-    """Return whether neither the commands made anything in a step nor the boat moved.
+    """Return whether neither drive nor motion exceeded :data:`IDLE` in a step.
 
     Nothing is learned then: the residuals would fall to their least.
     """
@@ -489,13 +489,17 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
         bias_var = motion[5] * (span / U) ** 2
-        suspected = _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given)
+        suspected = _add_evidence(
+            drives, changes, bias_var, turned, sway, axes, has_gps, now, given
+        )
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
+        _compare_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
         if measured:
             ahead = (changes[0], forces[0], forces[1])
-            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given)
+            _write_accelerations(
+                drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given
+            )
     if has_gps and not doubted:
         _follow(drives, yaw, surge, sway, span, trained, given)
     return not suspected and drives.hypothesis == SOUND

@@ -196,7 +196,7 @@ class Comparison(NamedTuple):
     independent: float
     """Samples of what is left that are independent, of ..."""
     samples: int
-    """... so many."""
+    """... number of samples."""
     uses: frozenset[str] = frozenset()
     """Columns that it was made of."""
 
@@ -286,7 +286,7 @@ def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array
     return forces[0] * np.cos(pitch) + down * np.sin(pitch), aside
 
 
-def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
+def _angle_and_gyro(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     """Changes of an angle, and of the integrated gyro less its bias."""
     width = s.width(least_s, 6.0, name, GYROS[axis])
     gyros = s.stacked(*GYROS)
@@ -318,12 +318,12 @@ def _both(s: Signals, x: npt.NDArray[Any], rate: npt.NDArray[Any], width: int, o
     return _changes(x, width, order), _changes(_sum(rate, s.step), width, order)
 
 
-def _gone(s: Signals) -> Pair:
+def _fixes_and_velocity(s: Signals) -> Pair:
     """Way of the fixes, and of the integrated velocity."""
     return _both(s, s.level(FIX), s.level(VELOCITY), s.width(s.way_s, 2.0, *FIX), 1)
 
 
-def _pushed(s: Signals) -> Pair:
+def _velocity_and_forces(s: Signals) -> Pair:
     """Changes of velocity (of GPS or fixes), and of the integrated level specific forces."""
     force = _accelerations(s)
     if s.has(*VELOCITY):
@@ -331,18 +331,18 @@ def _pushed(s: Signals) -> Pair:
     return _both(s, s.level(FIX), _sum(force, s.step), s.width(2.0, 4.0, *FIX), 3)
 
 
-def _heaved(s: Signals) -> Pair:
+def _climb_and_force(s: Signals) -> Pair:
     """Changes of the vertical speed, and of the integrated vertical force."""
     force = s[FORCES[2]] - np.nanmean(s[FORCES[2]])
     return _both(s, s["gps_vz_mps"], force, s.width(0.5, 2.0, "gps_vz_mps"), 2)
 
 
-def _risen(s: Signals) -> Pair:
+def _height_and_climb(s: Signals) -> Pair:
     """Changes of the height, and of the integrated vertical speed."""
     return _both(s, s["gps_z_m"], s["gps_vz_mps"], s.width(1.0, 2.0, "gps_z_m"), 2)
 
 
-def _weighed(s: Signals) -> Pair:
+def _force_and_gravity(s: Signals) -> Pair:
     """Mean specific force, and gravity with the acceleration of turns."""
     nothing = np.zeros(len(s.t))
     if not s.has(*FORCES):
@@ -449,13 +449,13 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     return after - before, [before], [_mean(each, 2 * half)[rows + half] for each in acts]
 
 
-def _yawed(s: Signals) -> Pair:
+def _yaw_and_commands(s: Signals) -> Pair:
     """Changes of the yaw rate by the compass, and what the commands make of it at their horizon."""
     tried = [_explained(*_turns_by(s, horizon)) for horizon in HORIZONS_S]
     return max(tried, key=lambda each: each[0])[1]
 
 
-def _surged(s: Signals) -> Pair:
+def _surge_and_thrust(s: Signals) -> Pair:
     """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
     width = s.width(s.way_s, 2.0, *FIX)
     way = _changes(s.level(FIX), width) / (width * s.step)
@@ -473,18 +473,18 @@ BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "
 """The comparison with a constant; those that need a model of the boat."""
 
 COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
-    "fixes and velocity": _gone,
-    "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0),
+    "fixes and velocity": _fixes_and_velocity,
+    "turns of compass and gyro": lambda s: _angle_and_gyro(s, "compass_rad", 2, 2.0),
     "track and compass": _track,
     "course and compass": _course,
-    "velocity and accelerometers": _pushed,
-    "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5),
-    "pitch of AHRS and gyro": lambda s: _turned(s, ANGLES[1], 1, 0.5),
-    "vertical speed and accelerometer": _heaved,
-    "height and vertical speed": _risen,
-    BY_GRAVITY: _weighed,
-    BY_COMMANDS[0]: _yawed,
-    BY_COMMANDS[1]: _surged,
+    "velocity and accelerometers": _velocity_and_forces,
+    "roll of AHRS and gyro": lambda s: _angle_and_gyro(s, ANGLES[0], 0, 0.5),
+    "pitch of AHRS and gyro": lambda s: _angle_and_gyro(s, ANGLES[1], 1, 0.5),
+    "vertical speed and accelerometer": _climb_and_force,
+    "height and vertical speed": _height_and_climb,
+    BY_GRAVITY: _force_and_gravity,
+    BY_COMMANDS[0]: _yaw_and_commands,
+    BY_COMMANDS[1]: _surge_and_thrust,
 }
 """By name, the function of two signals that are equal where no sensor is at fault."""
 

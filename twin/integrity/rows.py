@@ -165,7 +165,7 @@ def _uneven(steps: Array) -> float:
 
 
 def _uneven_sensors(recording: Recording) -> str:
-    """Return whose stamps jitter, if any.
+    """Return the sensors whose time stamps jitter.
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
     """

@@ -122,7 +122,7 @@ def _shifted(name: str, sign: float = 1.0) -> Undo:
     return lambda s, a: s.having((name,), s.stacked(name) + sign * a)
 
 
-def _turned(*pairs: tuple[str, str]) -> Undo:
+def _rotated(*pairs: tuple[str, str]) -> Undo:
     """Return what turns pairs of columns by an angle, from the first to the second."""
 
     def undo(s: Signals, angle: float) -> Signals:
@@ -266,16 +266,16 @@ TABLE: tuple[Hypothesis, ...] = (
               SCALES, error_from=0.0),
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
-              _turned(VELOCITY), ASKEW, QUARTER),
+              _rotated(VELOCITY), ASKEW, QUARTER),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                f"{PLUS.format(value=-9.81)}: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
+              "turn them back in the mapping", FORCES[:2], _rotated(FORCES[:2]), ASKEW,
               error_from=0.0),
     *(Hypothesis("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
-                _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
+                _rotated((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
       for axis, a, b, angles in (("second", 2, 0, "0.0, {value}, 0.0"),
                                  ("first", 1, 2, "{value}, 0.0, 0.0"),
                                  ("third", 0, 1, "0.0, 0.0, {value}"))),
@@ -335,20 +335,20 @@ class Trial(NamedTuple):
 
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
-    """Return what a hypothesis explains; of a number, commands know little."""
+    """Return the gain of log-likelihood by a hypothesis; a fitted number gains none by commands."""
     known = () if each.scan is None else BY_COMMANDS
     return sum(gain(before[name], after[name]) for name in before if name not in known)
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
-    """Return the score of a hypothesis that explains all that it touches."""
+    """Return the largest possible score of a hypothesis: each rho that it changes is RHO_MIN."""
     touched = [one for one in base.values() if one and not one.uses.isdisjoint(each.changed)]
     most = sum(0.5 * one.samples * math.log(one.rho / RHO_MIN) for one in touched)
     return most - each.cost - PARAMETER_COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
-    """Return whether some comparison is made much better, and leaves little."""
+    """Return whether a hypothesis reduces the rho of some comparison enough."""
     return any(
         one is not None and other is not None and other.rho < RHO_SHARE_MAX * min(one.rho, 1.0)
         for one, other in ((before[name], after[name]) for name in before)
@@ -356,7 +356,7 @@ def _explains(before: Evidence, after: Evidence) -> bool:
 
 
 def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
-    """Return what a hypothesis explains, its number where that is most."""
+    """Return the trial of a hypothesis at the size of the highest score."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)

@@ -193,7 +193,7 @@ def scaled_prior(
 
 
 def takes(structure: Structure, particulars: Particulars) -> bool:
-    """Return whether a boat has a prior of its own, of this structure.
+    """Return whether a boat has a prior of its own for this structure.
 
     PriorError: a prior of no known model, or with parameters that its model does not have.
     """

@@ -3,7 +3,7 @@
 The state is s = (x, y, psi, u, v, r): m north and east, rad clockwise, m/s forward and to
 starboard over the ground, rad/s. The actuators are act = (nL, nR, dL, dR): rev/s, rad. A
 positive drive angle turns to starboard. Accelerations are linear in the parameters xi; which
-terms they have stands in :mod:`twin.model.structure`.
+terms they have is defined in :mod:`twin.model.structure`.
 
     x' = u cos(psi) - v sin(psi),  y' = u sin(psi) + v cos(psi),  psi' = r
 

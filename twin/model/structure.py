@@ -80,7 +80,7 @@ Array = NDArray[np.float64]
 
 
 class ModelTerms(NamedTuple):
-    """What kernels take of a structure."""
+    """A structure as kernels read it."""
 
     which: NDArray[np.uint64]  # (3, p) term of each parameter in surge, sway and yaw
     limits: NDArray[np.int64]  # (6, 2) columns of (s, xi) that the rate of each state depends on

@@ -212,7 +212,7 @@ def _start_at(measured, state, config):
 
 
 @kernel
-def _take_motion(measured, dt, cmd, joint):
+def _use_measured_motion(measured, dt, cmd, joint):
     """Take a measured state (6,) without learning from it."""
     state = filter_state(joint.memory, joint.model)
     config = filter_config(joint.config, joint.model)
@@ -449,7 +449,7 @@ class DSWPredictor(ModelPredictor):
         if self._held or self._is_lost(s):
             # no row before this one is used again
             self._sound = 0
-            _take_motion(s, dt, cmd, self._joint)
+            _use_measured_motion(s, dt, cmd, self._joint)
             return
         self._sound += 1
         self._run(row, 1)

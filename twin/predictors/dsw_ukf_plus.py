@@ -99,7 +99,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
 
 
 def joint_candidate(particulars: Particulars) -> int:
-    """Return what the joint filter's parameters are to the refit: NONE or FIRST.
+    """Return how the refit uses the joint filter's parameters: NONE or FIRST.
 
     What disturbs some boats adds up in their motion, as gusts and model errors do. There the joint
     filter's process noise is the right likelihood. So it is for ships in tanks and on ponds, and
@@ -260,7 +260,7 @@ class PlusPredictor(UKFPredictor):
         return ParametersInUse(own.name, own.uses_prior, own.best_refit())
 
     def identifiability(self) -> Identifiability:
-        """Return what the data so far say of the parameters: nothing while the prior is in use."""
+        """Return the identifiability of the parameters; none is informed while the prior is used."""
         seen = super().identifiability()
         if not self.selector.uses_prior:
             return seen

@@ -233,13 +233,13 @@ def drive_share(plan, n_nominal, driven):
 
 @inlined
 def plausible_speed(k, fastest, nominal, share):
-    """Return the largest of a velocity that is near what was ever seen, or ``share`` nominal."""
+    """Return the plausible bound of a velocity, by the fastest seen and ``share`` nominal ones."""
     return max(1.5 * fastest[k], share * nominal[k])
 
 
 @inlined
 def is_plausible(states, fastest, nominal, share):
-    """Return whether velocities stay near what was ever seen, or ``share`` times nominal."""
+    """Return whether all velocities are within :func:`plausible_speed`."""
     plausible = True
     for row in range(states.shape[0]):
         for k in range(3):
@@ -383,7 +383,7 @@ def covariance_ahead(plan, dt, sources, config, out, work):
 
 @kernel
 def limit_covariances(covs, start_cov, dt, envelope):
-    """Scale down, in place, deviations that no boat can have by then.
+    """Limit, in place, standard deviations to those of a boat within its envelope.
 
     ``covs`` (K, 6, 6) are at the ends of rows dt (s) apart, after ``start_cov``, whose diagonal
     counts. ``envelope`` (3,) is the largest size of u, v (m/s) and r (rad/s).

@@ -28,7 +28,7 @@ water: sway is zero within this standard deviation, in nominal speeds."""
 
 @inlined
 def aid_by_model(dt, nav, work, x, given, model):
-    """Correct velocity, yaw rate and course of the navigation by what the model's state ``x`` says.
+    """Correct velocity, yaw rate and course of the navigation by the model's state ``x``.
 
     Without this, a boat that never had a gyro and loses its compass is taken to sail astern.
     """

@@ -196,8 +196,8 @@ def _record(t, dt, good, nav, window, state, rows):
 
 
 @kernel
-def _take_segments(rows, window, selector, segments, nav, config, model, work):
-    """Take the segments that are over into the window; return how many starts were tried."""
+def _add_segments(rows, window, selector, segments, nav, config, model, work):
+    """Add the segments that are complete; return the number of starts that were tried."""
     newest, tried = last_row(window), 0
     # older rows have been overwritten, nearly all of them after a long gap
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
@@ -294,7 +294,7 @@ def _refit(memory, config, work):
     segments = segment_state(memory.segments, p, given.capacity)
     scratch = refit_work(work, p, given.capacity)
     nav = as_record(memory.nav, NAVIGATION)
-    _take_segments(rows, window, selector, segments, nav, given, model, scratch)
+    _add_segments(rows, window, selector, segments, nav, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
@@ -347,8 +347,8 @@ def _identify(outage, dt, cmd, nav, wind, memory, config, scratch):
 
 
 @inlined
-def _take_mean(state, selector, memory, model):
-    """Go on with the mean of the joint filter's parameters and those of the first refit.
+def _average_parameters(state, selector, memory, model):
+    """Use the mean of the joint filter's parameters and those of the first refit.
 
     Without GPS the errors of a boat that no population describes add up, and those of the two
     differ. It is no surer than the joint filter was.
@@ -400,7 +400,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
     if given.rest_push < 1.0 and nav.gps_age > ROW_AGE_MAX_S and outage - dt <= ROW_AGE_MAX_S:
         selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
         if selector.count[SCORED] >= SEGMENTS_MIN and int(selector.count[CHOSEN]) == JOINT:
-            _take_mean(state, selector, memory, model)
+            _average_parameters(state, selector, memory, model)
     fast = (SPEED_SD_MAX * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_SD_MAX_RAD**2
     trusted = nav.gps_age <= ROW_AGE_MAX_S and not is_learning_suspended(nav)

@@ -186,9 +186,9 @@ def start_filter(cmd, nav, state, given):
 
 @inlined
 def has_diverged(outage, nav, state, given):
-    """Return whether the state must restart; ``outage`` is how long no fix had come, s."""
+    """Return whether the state must restart; ``outage`` is the time without fixes, s."""
     x, P, n, P_nav = state.x, state.P, nav.n, nav.P
-    # so long a rollout is far from linear in the parameters, which its errors would corrupt
+    # a rollout over such a gap is far from linear in the parameters: its errors would corrupt them
     diverged = outage > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
     diverged = diverged or nav.commands_doubted > 0.0 or nav.restarted > 0.0
     for i in range(N_STATES):
@@ -238,7 +238,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
         noise[i, i] += max(min(share, 1.0) * time / row - 1.0, 0.0) * P_nav[i, i]
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
-        # what the navigation then says of them is in part the model's own
+        # the navigation's velocities are then in part the model's own
         mask[X] = mask[Y] = 0.0
         noise[U, U] *= OUTAGE_NOISE_FACTOR
         noise[V, V] *= OUTAGE_NOISE_FACTOR

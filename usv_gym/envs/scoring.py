@@ -171,7 +171,7 @@ def _rate_path(state, points, leg, rules, task, now):
 
 @inlined
 def _rate_docking(state, points, leg, rules, task, now):
-    """Do for a berth what :func:`_rate_path` does for a path."""
+    """Write the parts of the reward at a berth, as :func:`_rate_path` does."""
     errors, at_berth = task.errors, leg + 2 == points.shape[0]
     angle, distance = errors[COURSE_ERROR], math.hypot(errors[CROSS_TRACK], errors[TO_GO])
     if not at_berth:
@@ -191,7 +191,7 @@ def _rate_docking(state, points, leg, rules, task, now):
 
 @inlined
 def _rate_station(state, rules, task, now):
-    """Do for a point to stay at what :func:`_rate_path` does for a path."""
+    """Write the parts of the reward at a station, as :func:`_rate_path` does."""
     distance = math.hypot(task.errors[CROSS_TRACK], task.errors[TO_GO])
     speed = math.hypot(state[fr.U], state[fr.V])
     now[DISTANCE] = -DISTANCE_COST * distance / rules.unit
@@ -201,7 +201,7 @@ def _rate_station(state, rules, task, now):
 
 @inlined
 def _rate_motion(state, rate, rules):
-    """Return what roll, and vertical acceleration of the deck point along the mast, cost."""
+    """Return the cost of roll, and of the deck point's acceleration along the mast."""
     lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
     ahead, side, down = rules.deck[0], rules.deck[1], rules.deck[2]
     p, q, r = state[fr.P], state[fr.Q], state[fr.R]

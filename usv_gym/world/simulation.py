@@ -175,7 +175,7 @@ def _measure(dt, boat, config, noise, gusts, arrays):
 
 @kernel
 def _strike(boat, faults, memory):
-    """Apply the faults to what the sensors say and what is reported."""
+    """Apply the faults to measurements and reported commands."""
     z = alloca_f64(STRUCK)
     for j in range(CHANNELS):
         z[j] = boat.measurement[j]
@@ -421,7 +421,7 @@ class Simulation:
         heading: float = 0.0,
         at: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Put some boats back to the start: straight ahead, by default at the manoeuvring speed.
+        """Reset some boats to the start: straight ahead, by default at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
         gusts, GPS, compass, IMU, anemometer and faults each get a child of the boat's generator. So
