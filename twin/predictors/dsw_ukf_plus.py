@@ -260,7 +260,7 @@ class PlusPredictor(UKFPredictor):
         return ParametersInUse(own.name, own.uses_prior, own.best_refit())
 
     def identifiability(self) -> Identifiability:
-        """Return the identifiability of the parameters; none is informed while the prior is used."""
+        """Return the identifiability of the parameters; none is informed under the prior."""
         seen = super().identifiability()
         if not self.selector.uses_prior:
             return seen
