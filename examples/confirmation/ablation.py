@@ -46,7 +46,7 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
     "all learning": ([(UPDATE, "if count < SEGMENTS_MIN:", "if count >= 0:")], []),
     "joint filter as candidate": (
         [(PLUS, "return FIRST if", "return NONE if")],
-        [f"{UPDATE}:_identify", f"{UPDATE}:_take_mean"],
+        [f"{UPDATE}:_identify", f"{UPDATE}:_average_parameters"],
     ),
     "several data weights": (
         [(WEIGHT, "(1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)", "(1.0,) * 7")],
@@ -57,15 +57,21 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(WEIGHT, "if not _may_change(newest, state.count):", "if True:")],
         [CHANGE, f"{WEIGHT}:_test_for_change", f"{WEIGHT}:_begin_after", f"{WEIGHT}:_may_change"],
     ),
-    "thrust known before a change": ([(WEIGHT, "= 14, 30.0, 20.0", "= 14, 0.0, 20.0")], []),
-    "three lags of a change": ([(WEIGHT, "12.5, (2.0, 6.0, 14.0)", "12.5, (6.0, 6.0, 6.0)")], []),
+    "thrust known before a change": (
+        [(WEIGHT, "ALARM_INFORMATION_MIN = 30.0", "ALARM_INFORMATION_MIN = 0.0")],
+        [],
+    ),
+    "three lags of a change": (
+        [(WEIGHT, "LAGS_S = (2.0, 6.0, 14.0)", "LAGS_S = (6.0, 6.0, 6.0)")],
+        [],
+    ),
     "cumulative sum of surprise": (
-        [(WEIGHT, "worse - SURPRISE_DRIFT, 0.0", "worse - 1e9, 0.0")],
+        [(WEIGHT, "worse - CUSUM_DRIFT, 0.0", "worse - 1e9, 0.0")],
         [],
     ),
     "mean with the refit, in a loss": (
-        [(UPDATE, "            _take_mean(state,", "            _ = (state,")],
-        [f"{UPDATE}:_take_mean"],
+        [(UPDATE, "            _average_parameters(state,", "            _ = (state,")],
+        [f"{UPDATE}:_average_parameters"],
     ),
     "robust weights": ([(PLUS, "knee=0.1", "knee=1e9")], []),
     "interval scale": ([(SCALE, "if record.compared == 0.0:", "if True:")], [SCALE]),
@@ -74,7 +80,10 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [(FORECAST, "+ part * (begin", "+ 1.0 * (begin")],
         [],
     ),
-    "error of the observer's start": ([(FORECAST, "START_WAVE = 0.3", "START_WAVE = 0.0")], []),
+    "error of the observer's start": (
+        [(FORECAST, "START_WAVE_SD = 0.3", "START_WAVE_SD = 0.0")],
+        [],
+    ),
     "waves predicted": (
         [(FORECAST, "past_waves(known, rows, seen, out.past)", "out.past[:] = 0.0")],
         [f"{FORECAST}:past_waves", f"{WAVES}:forecast_waves", f"{WAVES}:fit_waves"],
@@ -94,7 +103,13 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [f"{WAVES}:fit_sector_ar", f"{WAVES}:simulate_waves"],
     ),
     "low-frequency observer": (
-        [(WINDOW, "min(OBSERVER_GAIN, GAIN_OF_SHIP", "min(1e3 * OBSERVER_GAIN, GAIN_OF_SHIP")],
+        [
+            (
+                WINDOW,
+                "min(OBSERVER_GAIN, OBSERVER_GAIN_SHIP",
+                "min(1e3 * OBSERVER_GAIN, OBSERVER_GAIN_SHIP",
+            )
+        ],
         [f"{UPDATE}:_slow_step"],
     ),
     "current": (
@@ -106,17 +121,29 @@ MECHANISMS: dict[str, tuple[list[Patch], list[str]]] = {
         [],
     ),
     "noises of fixed pairs": (
-        [(SETTINGS, "ROUGH_NOISE = 4.0, 0.5", "ROUGH_NOISE = 1.0, 1.0")],
+        [
+            (
+                SETTINGS,
+                "ROUGH_PROCESS_NOISE = 4.0\nROUGH_MEASUREMENT_NOISE = 0.5",
+                "ROUGH_PROCESS_NOISE = ROUGH_MEASUREMENT_NOISE = 1.0",
+            )
+        ],
         [],
     ),
-    "less push at rest": ([(SETTINGS, "REST_PUSH = 0.001", "REST_PUSH = 0.999")], []),
+    "less push at rest": (
+        [(SETTINGS, "REST_PROCESS_NOISE = 0.001", "REST_PROCESS_NOISE = 0.999")],
+        [],
+    ),
     "damping left to fixed pairs": ([(SETTINGS, "ROUGH_SHARE = 0.3", "ROUGH_SHARE = 0.1")], []),
     "wandering biases of tankers": (
-        [(SETTINGS, '("E_north", "E_east", "N_0"), 28', '("",), 28')],
+        [(SETTINGS, 'WANDERING = ("E_north", "E_east", "N_0")', 'WANDERING = ("",)')],
         [],
     ),
     "wider prior of tankers": ([(SETTINGS, "PRIOR_INFLATION = 1.5", "PRIOR_INFLATION = 1.0")], []),
-    "waves that move tankers": ([(SETTINGS, "1.0, 0.3, 10.0\n", "1.0, 0.0, 0.0\n")], []),
+    "waves that move tankers": (
+        [(SETTINGS, "NOISE = 0.3\nWAVE_PROCESS_NOISE = 10.0", "NOISE = WAVE_PROCESS_NOISE = 0.0")],
+        [],
+    ),
 }
 """What replaces which lines, and the functions and files that would leave with them."""
 

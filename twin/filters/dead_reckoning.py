@@ -34,7 +34,7 @@ class PastMotion(NamedTuple):
 
 @kernel
 def remember(nav, settings):
-    """Write the present into the ring, unless the last entry is too near."""
+    """Write the present motion to the ring, unless the last entry is too recent."""
     count = int(nav.count)
     if count > 0:
         apart = settings.latency / (RING_ROWS - 4)

@@ -17,8 +17,8 @@ Decisions that the paper leaves open, all of them ours:
 - The two estimates share their past once there is feedback, so that the fused covariance is
   too small. The formula is kept as printed.
 - Noise that no data sheet states scales by Froude's law with the length of the boat.
-- A fix that is farther off than :data:`LOST` restarts both filters. False numbers may have driven
-  one away, and its covariance does not know.
+- A fix that is farther off than :data:`DIVERGED_SD` restarts both filters. False numbers may have
+  driven one away, and its covariance does not know.
 - Losses. Variances are capped (position 1000 lengths, velocity ten times ``sqrt(g * length)``,
   acceleration g, heading pi). What is capped loses its correlations, which keeps the covariances
   positive definite. After ``hold`` seconds without a sample, the acceleration of the GPS filter and
@@ -43,7 +43,7 @@ from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
 
 __all__ = [
-    "LOST",
+    "DIVERGED_SD",
     "LateFusion",
     "fuse",
 ]
@@ -57,8 +57,8 @@ HEADING_VAR_MAX = 0.5**2
 """Heading variance, rad2, above which the accelerometer, whose direction is then unknown,
 counts as missing."""
 
-LOST = 20.0
-"""A fix that is so many standard deviations off shows that a filter has diverged."""
+DIVERGED_SD = 20.0
+"""Innovation of a fix, in standard deviations, above which a filter has diverged."""
 
 NORTH, EAST, NORTH_SPEED, EAST_SPEED, HEADING, TURN = range(6)
 """State of the IMU filter: place (m), velocity (m/s), heading (rad), yaw rate (rad/s)."""
@@ -390,7 +390,7 @@ class LateFusion:
         """Return whether a fix is so far off that both filters must start again."""
         for kalman, at in ((self.gps, _GPS_TO_FUSED[:2]), (self.imu, slice(NORTH, EAST + 1))):
             variance = kalman.P.diagonal()[at] + self._gps_R[:2]
-            if ((z[:2] - kalman.x[at]) ** 2 > LOST**2 * variance).any():
+            if ((z[:2] - kalman.x[at]) ** 2 > DIVERGED_SD**2 * variance).any():
                 return True
         return False
 

@@ -21,12 +21,12 @@ one, velocities are held.
 Rejected as samples, besides NaN, are
 
 - numbers that no boat gives (:data:`SPEED_LIMIT` and others);
-- those further than :data:`GATE` standard deviations off. After many refusals in a row the filter
-  must be wrong: it restarts from that number. An acceleration is refused where it leaps from one
+- those with an innovation above :data:`GATE_SD`. After many refusals in a row the filter must be
+  wrong: it restarts from that number. An acceleration is refused where it leaps from one
   row to the next;
 - frozen ones: all numbers of a sensor repeat to the last bit. Either it is stuck, or the log has
   more rows than the sensor has samples. But a number may also stay because nothing moves, or
-  because it is rounded. So once it has stayed for :data:`FROZEN_TIME`, a fix or heading that is
+  because it is rounded. So once it has stayed for :data:`FROZEN_S`, a fix or heading that is
   within its standard deviation of what the filter expects counts as new. An IMU that repeats is
   always one that says nothing.
 
@@ -49,12 +49,12 @@ from twin.filters.navigation_state import (
     ACCEL_Y_BIAS,
     COMPASS_BIAS,
     GYRO_BIAS,
+    HEADING_MAX_RAD,
     IMU_LEAPS,
     IS_MODELLED,
     MODEL_VARIANCES,
     N_NAV,
-    REACH,
-    ROUNDS,
+    POSITION_MAX_M,
     SPEED_LIMIT,
     TILT_X,
     TILT_Y,
@@ -78,53 +78,50 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-GATE = 6.0
-"""Standard deviations beyond which a number is refused ..."""
+GATE_SD = 6.0
+"""Gate of an innovation, in standard deviations ..."""
 
 REFUSED_MAX = 20.0
-"""... unless this many in a row were refused. One after a pause of 1 s counts as
-:data:`REFUSED_RATE`."""
+"""... and number of refusals in a row after which a sample is accepted all the same ..."""
 
-REFUSED_RATE = 5.0
+REFUSED_PER_S = 5.0
+"""... where one after a pause counts as this many for each second of it."""
 
-LOST_AGAIN = 3.0
-TOO_FAST = 1.5
-SETTLING = 10.0
-"""Where that happens again within so many seconds, at more than so many nominal speeds, the
-velocity is forgotten as well: it was wrong, and no receiver's velocity has corrected it. Models
-then learn nothing for the third, s."""
+LOST_AGAIN_S = 3.0
+LOST_SPEED_RATIO = 1.5
+SETTLING_S = 10.0
+"""Where that happens again within LOST_AGAIN_S, at a speed above LOST_SPEED_RATIO nominal speeds,
+the velocity begins anew as well, and models learn nothing for SETTLING_S."""
 
-FROZEN_TIME = 2.0
-"""Seconds after which numbers that do not change may mean a boat that does not move."""
+FROZEN_S = 2.0
+"""Time of equal samples after which the boat may be at rest."""
 
-STEP_MAX = 0.1
-"""Longest step of the prediction, s; longer gaps are cut up."""
+STEP_MAX_S = 0.1
+"""Longest step of the prediction; longer gaps are cut up."""
 
-LOST_AFTER = 1.0
-"""GPS or IMU are missing once their last sample is so old, s."""
+LOST_AFTER_S = 1.0
+"""Age of the last sample above which GPS or IMU count as lost."""
 
-GAP_MAX = 600.0
-"""A gap longer than this, s, is predicted through as if it were this long."""
+GAP_MAX_S = 600.0
+"""Longest time of a prediction over a gap between rows."""
 
-FINE_MAX = 30.0
-COARSE_STEP = 10.0
-"""Only the last part of a gap, s, is cut up finely; the rest into steps of this length, s. A row
-then takes no longer after an hour without rows than after half a minute."""
+FINE_MAX_S = 30.0
+COARSE_STEP_S = 10.0
+"""Last part of a gap that is predicted in steps of STEP_MAX_S, and step of its first part."""
 
-_SHARP = 1e6
-"""A correction that shrinks a variance by more than this may leave rounding behind. That of a gyro
-shrinks the yaw rate's by 2e4 in every row, which leaves none that counts."""
+_SHRINKAGE_MAX = 1e6
+"""Variance ratio of a correction above which rounding counts. A gyro shrinks that of the yaw rate
+by 2e4 in every row."""
 
-BIAS_SD = 0.7
-BIAS_TIME = 3.0
-"""Standard deviation of the bias of accelerometers that are found at fault, m/s2, and how long (s)
-it takes to find them."""
+BIAS_SD_MPS2 = 0.7
+BIAS_TIME_S = 3.0
+"""Standard deviation of the bias of faulty accelerometers, and typical time to their exclusion."""
 
-CONTAMINATED = 5.0
-"""Standard deviations by which a state differs that a sensor at fault has led astray."""
+CONTAMINATED_SD = 5.0
+"""Difference, in standard deviations, above which a faulty sensor has corrupted a state."""
 
-_AIDED = 1e4
-"""A model shrinks no variance by more than this."""
+_AID_SHRINKAGE_MAX = 1e4
+"""Largest variance ratio of a correction by a model."""
 
 
 @kernel
@@ -140,8 +137,8 @@ def _correct(nav, work, innovation, variance, age, channel):
         S = _gain(P, H, variance, gain)
     S = max(S, variance)
     if channel >= 0:
-        if innovation * innovation > GATE * GATE * S:
-            nav.refused[channel] += max(1.0, REFUSED_RATE * age)
+        if innovation * innovation > GATE_SD * GATE_SD * S:
+            nav.refused[channel] += max(1.0, REFUSED_PER_S * age)
             if nav.refused[channel] <= REFUSED_MAX:
                 return False
             # the filter has diverged: take the number as if nothing had been known
@@ -166,14 +163,14 @@ def _correct(nav, work, innovation, variance, age, channel):
     )
     for i in range(N_NAV):
         P[i, i] = max(P[i, i], VARIANCE_MIN)
-    if S / variance > _SHARP:
+    if S / variance > _SHRINKAGE_MAX:
         mend(P, work.A)
     return True
 
 
 @kernel
 def _forget_biases(nav, settings):
-    """Restart what was learned from numbers that have turned out to be false."""
+    """Restart the biases that were learned from false samples."""
     n, P = nav.n, nav.P
     for i in range(6, N_NAV):
         for k in range(N_NAV):
@@ -208,7 +205,7 @@ def _gain(P, H, variance, gain):
 
 @kernel
 def aid(nav, work, entry, value, variance):
-    """Correct one entry of the state by what a model says of it.
+    """Correct one entry of the state by a model's estimate of it.
 
     Parameters
     ----------
@@ -221,7 +218,7 @@ def aid(nav, work, entry, value, variance):
     """
     work.H[:] = 0.0
     work.H[entry] = 1.0
-    variance = max(variance, 2.0 * nav.P[entry, entry] / _AIDED)
+    variance = max(variance, 2.0 * nav.P[entry, entry] / _AID_SHRINKAGE_MAX)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
 
@@ -231,12 +228,12 @@ def _is_contaminated(nav, i):
     error = nav.restart.state[i] - nav.n[i]
     if i == PSI:
         error = wrap(error)
-    return error * error > CONTAMINATED**2 * (nav.restart.cov[i, i] + VARIANCE_MIN)
+    return error * error > CONTAMINATED_SD**2 * (nav.restart.cov[i, i] + VARIANCE_MIN)
 
 
 @inlined
 def _begin_again(nav, settings):
-    """Begin again where a sensor that is left out now has led the state astray."""
+    """Restart the states that a sensor, now excluded, has corrupted."""
     n, P, restart = nav.n, nav.P, nav.restart
     state, cov = restart.state, restart.cov
     whole, heading, surge = restart.position > 0.0, restart.heading > 0.0, restart.surge > 0.0
@@ -264,7 +261,7 @@ def _begin_again(nav, settings):
             P[PSI, PSI], P[R, R] = cov[PSI, PSI], cov[R, R]
         if surge and not whole:
             # what made the velocity wrong has moved the boat as well
-            moved = (0.5 * BIAS_SD * BIAS_TIME**2) ** 2
+            moved = (0.5 * BIAS_SD_MPS2 * BIAS_TIME_S**2) ** 2
             P[X, X] += moved
             P[Y, Y] += moved
         for k in range(nav.refused.shape[0]):
@@ -275,8 +272,8 @@ def _begin_again(nav, settings):
 
 @inlined
 def lacks_gps(nav):
-    """Return whether the navigation goes without fixes."""
-    return nav.gps_age > LOST_AFTER
+    """Return whether the GPS is lost."""
+    return nav.gps_age > LOST_AFTER_S
 
 
 @inlined
@@ -288,13 +285,13 @@ def is_learning_suspended(nav):
 @inlined
 def lacks_imu(nav):
     """Return whether the IMU is lost; a boat that never had one has lost none."""
-    return nav.has_imu > 0.0 and nav.imu_age > LOST_AFTER
+    return nav.has_imu > 0.0 and nav.imu_age > LOST_AFTER_S
 
 
 @inlined
 def lacks_heading(nav):
     """Return whether neither compass nor gyro gives samples."""
-    return min(nav.compass_age, nav.imu_age) > LOST_AFTER
+    return min(nav.compass_age, nav.imu_age) > LOST_AFTER_S
 
 
 @inlined
@@ -305,14 +302,14 @@ def is_ready(nav):
 
 @kernel
 def _start(nav, z, settings):
-    """Take heading and fix as they come, until both are there."""
+    """Start from heading and fix, once both have come."""
     n, P = nav.n, nav.P
     speed = settings.velocity_var_0
     fastest = SPEED_LIMIT * math.sqrt(speed)
-    if abs(z[COMPASS]) < ROUNDS:
+    if abs(z[COMPASS]) < HEADING_MAX_RAD:
         n[PSI] = z[COMPASS]
         nav.has_heading = 1.0
-    if abs(z[GPS_X]) < REACH and abs(z[GPS_Y]) < REACH:
+    if abs(z[GPS_X]) < POSITION_MAX_M and abs(z[GPS_Y]) < POSITION_MAX_M:
         n[X], n[Y] = z[GPS_X], z[GPS_Y]
         n[U] = n[V] = 0.0
         if abs(z[GPS_VX]) < fastest and abs(z[GPS_VY]) < fastest:
@@ -379,7 +376,7 @@ def _expected(j, past, before, settings, H):
 
 
 @kernel
-def _take_fix(nav, z, dt, repeats, settings, work):
+def _correct_by_fix(nav, z, dt, repeats, settings, work):
     """Correct by position and velocity of the antenna when the fix was taken."""
     n, P, H, before = nav.n, nav.P, work.H, work.before
     past = past_motion(nav, settings, work.past[:])
@@ -387,7 +384,7 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         before[i] = n[i]
     late, age = settings.latency, nav.gps_age
     # unknown change of velocity from then to now
-    drift = settings.accel_var * min(dt, STEP_MAX) * late
+    drift = settings.accel_var * min(dt, STEP_MAX_S) * late
     drift += settings.tilt_var * late * min(late, 2.0 * settings.tilt_time)
     drift += max(P[ACCEL_X_BIAS, ACCEL_X_BIAS], P[ACCEL_Y_BIAS, ACCEL_Y_BIAS]) * late * late
     # ... shared by all fixes of that time
@@ -396,7 +393,7 @@ def _take_fix(nav, z, dt, repeats, settings, work):
     doppler_var = settings.doppler_var + drift
     fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
     for j in range(4):
-        if not abs(z[j]) < (REACH if j < 2 else fastest):
+        if not abs(z[j]) < (POSITION_MAX_M if j < 2 else fastest):
             continue
         innovation = z[j] - _expected(j, past, before, settings, H)
         for i in range(6):
@@ -451,7 +448,7 @@ def _correct_by_compass(nav, z, repeats, settings, work):
     """Correct the heading and the compass's bias, unless the sample only repeats the last one."""
     n, H, variance = nav.n, work.H, settings.compass_var
     innovation = wrap(z[COMPASS] - n[PSI] - n[COMPASS_BIAS])
-    still = nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < variance
+    still = nav.unchanged[1] >= FROZEN_S and innovation * innovation < variance
     if not repeats or still:
         H[PSI] = H[COMPASS_BIAS] = 1.0
         if _correct(nav, work, innovation, variance, nav.compass_age, 4):
@@ -479,7 +476,7 @@ def navigate(nav, dt, z, model, settings, work):
     """
     nav.lost = nav.restarted = 0.0
     n, P, H = nav.n, nav.P, work.H
-    dt = min(max(dt, 0.0), GAP_MAX)
+    dt = min(max(dt, 0.0), GAP_MAX_S)
     nav.clock += dt
     nav.gps_age += dt
     nav.compass_age += dt
@@ -495,7 +492,7 @@ def navigate(nav, dt, z, model, settings, work):
             remember(nav, settings)
         return
     # whether the row before had an IMU sample, and whether gyro and accelerometers are plausible
-    follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
+    follows = dt > 0.0 and dt <= STEP_MAX_S and nav.imu_age <= 1.5 * dt
     gyro = imu and abs(z[GYRO]) < TURN_LIMIT
     driven = imu and _are_accelerations_plausible(nav, z, last_x, last_y, follows, settings)
     # a model's accelerations of this moment do not hold through a gap
@@ -510,13 +507,13 @@ def navigate(nav, dt, z, model, settings, work):
             + settings.gyro_var
             + r_var * dt
         )
-        if change * change < GATE * GATE * S:
+        if change * change < GATE_SD * GATE_SD * S:
             r_mean += 0.5 * change
     elif modelled:
         r_rate, r_var = _aided(model, 2, settings.r_aided_density, r_var, settings)
-    fine = min(dt, FINE_MAX)
-    steps = max(1, math.ceil(fine / STEP_MAX - 1e-9))
-    coarse = math.ceil((dt - fine) / COARSE_STEP)
+    fine = min(dt, FINE_MAX_S)
+    steps = max(1, math.ceil(fine / STEP_MAX_S - 1e-9))
+    coarse = math.ceil((dt - fine) / COARSE_STEP_S)
     ax, ay, held = 0.0, 0.0, settings.held_density
     if modelled:
         ax, ahead = _aided(model, 0, settings.aided_density, held, settings)
@@ -529,7 +526,7 @@ def navigate(nav, dt, z, model, settings, work):
             forward, side = settings.imu_x, settings.imu_y
             turn = r_mean * r_mean
             spin = (z[GYRO] - last_gyro) / dt if gyro and follows else 0.0
-            if not abs(spin) * STEP_MAX < 1.0:
+            if not abs(spin) * STEP_MAX_S < 1.0:
                 spin = 0.0
             force_x = z[ACCEL_X] + turn * forward + spin * side
             force_y = z[ACCEL_Y] + turn * side - spin * forward
@@ -547,18 +544,18 @@ def navigate(nav, dt, z, model, settings, work):
         H[i] = 0.0
     if gyro:
         _correct_by_gyro(nav, z, settings, work)
-    if abs(z[COMPASS]) < ROUNDS:
+    if abs(z[COMPASS]) < HEADING_MAX_RAD:
         _correct_by_compass(nav, z, compass_repeats, settings, work)
-    if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
-        _take_fix(nav, z, dt, gps_repeats, settings, work)
+    if not gps_repeats or nav.unchanged[0] >= FROZEN_S:
+        _correct_by_fix(nav, z, dt, gps_repeats, settings, work)
     nav.since_lost += dt
     nav.unsettled = max(nav.unsettled - dt, 0.0)
     if nav.lost > 0.0:
         _forget_biases(nav, settings)
-        fastest = TOO_FAST**2 * settings.velocity_var_0
-        if nav.since_lost < LOST_AGAIN and n[U] * n[U] + n[V] * n[V] > fastest:
+        fastest = LOST_SPEED_RATIO**2 * settings.velocity_var_0
+        if nav.since_lost < LOST_AGAIN_S and n[U] * n[U] + n[V] * n[V] > fastest:
             _forget_velocity(nav, settings)
-            nav.unsettled = SETTLING
+            nav.unsettled = SETTLING_S
         nav.since_lost = 0.0
     _begin_again(nav, settings)
     remember(nav, settings)

@@ -54,17 +54,17 @@ RING_COLUMNS = 9
 SPEED_LIMIT = 20.0
 TURN_LIMIT = 10.0
 ACCEL_LIMIT = 50.0
-REACH = 1e7
-ROUNDS = 1e5
+POSITION_MAX_M = 1e7
+HEADING_MAX_RAD = 1e5
 """Limits of valid samples: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
-position in m, and heading in rad (not wrapped). Samples beyond are refused."""
+position in m, and unwrapped heading in rad."""
 
 WIND_LIMIT = 100.0
 """Limit of a valid wind speed, m/s."""
 
-AIDED = 0.05
-AIDED_TURN = 0.05
-"""How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
+AIDED_WANDER = 0.05
+AIDED_YAW_WANDER = 0.05
+"""Random walk of a model's velocity (U) and yaw rate (U/L) in one L/U, standard deviations."""
 
 VARIANCE_MIN = 1e-12
 """Smallest variance; a smaller one is a rounding error."""
@@ -189,10 +189,10 @@ def navigation_settings(particulars: Particulars) -> Array:
             200.0,
             (0.5 * turn) ** 2 * turn,  # yaw rate wanders by half its size in one L/U
             (0.25 * U) ** 2 * turn,  # velocity without accelerometers, likewise
-            (AIDED * U) ** 2 * turn,
+            (AIDED_WANDER * U) ** 2 * turn,
             U**2,
             turn**2,
-            (AIDED_TURN * turn) ** 2 * turn,
+            (AIDED_YAW_WANDER * turn) ** 2 * turn,
             max(I.compass_bias_sd**2, VARIANCE_MIN),
             max(tilt**2, VARIANCE_MIN),
             I.tilt_time,
@@ -213,7 +213,8 @@ def sample_limits(particulars: Particulars) -> Array:
     """Return the sizes (19,), in the order of a measurement row, that no valid sample reaches."""
     fastest = SPEED_LIMIT * particulars.speed
     inertial = TURN_LIMIT, ACCEL_LIMIT, ACCEL_LIMIT
-    level = [REACH, REACH, fastest, fastest, ROUNDS, *inertial, WIND_LIMIT, ROUNDS]
+    fix = POSITION_MAX_M, POSITION_MAX_M, fastest, fastest
+    level = [*fix, HEADING_MAX_RAD, *inertial, WIND_LIMIT, HEADING_MAX_RAD]
     # roll, pitch and heave are no business of these filters
     return np.array([*level, *[math.inf] * (len(MEASUREMENTS) - len(level))])
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def _take_row(nav, dt, z, model, settings, work):
+def _navigate_flat(nav, dt, z, model, settings, work):
     """Do :func:`twin.filters.navigation_ekf.navigate` on flat memory."""
     navigate(
         as_record(nav, NAVIGATION),
@@ -121,5 +121,5 @@ class Navigator:
             State (x, y, psi, u, v, r), a view.
         """
         z = np.ascontiguousarray(z, dtype=np.float64)
-        _take_row(self.memory, dt, z, self._model, self._settings, self._work)
+        _navigate_flat(self.memory, dt, z, self._model, self._settings, self._work)
         return self.n[:6]

@@ -1,7 +1,7 @@
 """The unscented Kalman filter for a state plus many constant parameters; it has no ship in it.
 
 The filter's vector is x = (s, xi): ``n_s`` states that move and are measured, then ``n_xi``
-parameters that stand still but for a random walk. The caller's model must be affine in xi,
+parameters that are constant but for a random walk. The caller's model must be affine in xi,
 
     f(s, xi) = f(s, 0) + slope(s) xi,
 
@@ -100,7 +100,7 @@ class UKFWorkspace(NamedTuple):
 
 
 def workspace(n_s: int, n_xi: int) -> UKFWorkspace:
-    """Return a workspace for so many states and parameters; zeros."""
+    """Return a workspace of zeros for n_s states and n_xi parameters."""
     return UKFWorkspace(*np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1))))
 
 
@@ -151,7 +151,7 @@ def _factorise(P, root, factors, n_s):
 
 @kernel
 def _decorrelate(P):
-    """Keep of P its variances only, as far as they are some."""
+    """Set P to its variances alone, where these are above 0."""
     n = P.shape[0]
     for i in range(n):
         for k in range(n):
@@ -197,7 +197,7 @@ def sigma_points(x, P, weights, work):
 
 @kernel
 def _hold(P, Q_s, q_xi):
-    """Let the states stand still, uncorrelated, under process noise; return 1, to be counted."""
+    """Hold the states, uncorrelated, under process noise; return 1, to be counted."""
     n_s = Q_s.shape[0]
     _decorrelate(P)
     for i in range(n_s):

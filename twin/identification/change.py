@@ -32,11 +32,10 @@ CHANGES = SIDES + 2
 """Share of thrust of the left and right side, current to north and east."""
 
 SHARE_SD = 0.5
-CURRENT_SD = 1.0
-"""Standard deviations of a change: of the share of its thrust that a side gives, and of the
-current, m/s."""
+CURRENT_CHANGE_SD_MPS = 1.0
+"""Prior standard deviations of a change: of a side's share of its thrust, and of the current."""
 
-STEPS = 3
+REWEIGHTINGS = 3
 """Robust reweightings in the search for a change."""
 
 
@@ -73,7 +72,7 @@ def change_work(work, p, n):
 
 @inlined
 def _write_effects(xi, config, model, effects):
-    """Write what a standard deviation of each change does to parameters (p,)."""
+    """Write the change of parameters (p,) by one standard deviation of each change."""
     p, at = xi.shape[0], int(model.hull[CURRENT])
     effects[:] = 0.0
     for side in range(SIDES):
@@ -82,7 +81,7 @@ def _write_effects(xi, config, model, effects):
                 effects[side, i] += SHARE_SD * config.shares[side, i, k] * xi[k]
     if at >= 0:
         for i in range(2):
-            effects[SIDES + i, at + i] = CURRENT_SD
+            effects[SIDES + i, at + i] = CURRENT_CHANGE_SD_MPS
 
 
 @inlined
@@ -144,7 +143,7 @@ def _changed_cost(n, work):
 
 @inlined
 def _robust(q, knee):
-    """Return what a segment's mean squared error counts."""
+    """Return a segment's mean squared error after robust weighting."""
     return q if q <= knee else knee * (1.0 + math.log(q / knee))
 
 
@@ -158,7 +157,7 @@ def change_evidence(since, samples, state, config, work):
     """
     size, total, right = work.size, work.total, work.right
     size[:] = 0.0
-    for _ in range(STEPS):
+    for _ in range(REWEIGHTINGS):
         for i in range(CHANGES):
             right[i] = 0.0
             for j in range(CHANGES):
@@ -206,7 +205,7 @@ def known_before(since, samples, state, config, work):
 
 @kernel
 def widen_known(base, factor, pull, information, config, model, work):
-    """Write what is known of the parameters once something has changed.
+    """Write the prior of the parameters after a change.
 
     ``base`` (p,) are the parameters of before, ``factor`` (p, p) the upper Cholesky factor of their
     information. ``pull`` and ``information`` are written, see

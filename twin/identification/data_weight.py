@@ -1,8 +1,8 @@
-"""How far to trust the data against the prior: several refits, compared by their forecasts.
+"""Weight of the data against the prior: several refits, compared by their forecasts.
 
 A boat in waves that are high for it, of which the prior says little, must rely on its data. One
 that has only been turning must not. No setting suits both, so several refits run side by side over
-the same segments, each with another ``trust``. The one in use is the one with the best forecasts.
+the same segments, each with another weight. The one in use is the one with the best forecasts.
 Every forecast is one of a segment that had not been seen. It has the parameters of each refit at
 the segment's start, the low-frequency velocities there, and the actuators as they were.
 
@@ -50,25 +50,25 @@ from usv_kernel.arrays import flat_size, named_dtype, python_views, take
 from usv_kernel.jit import inlined, kernel
 
 __all__ = [
+    "DataWeightSelector",
     "SelectorState",
-    "TrustSelector",
     "forecast_error",
+    "keep_parameters",
     "linearised_at",
-    "note",
     "score",
-    "select_trust",
+    "select_data_weight",
     "selector_state",
 ]
 
 Array = NDArray[Any]
 
-TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
-"""How far the refits trust the data; the first is in use until another has proved better."""
+DATA_WEIGHTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
+"""Factors of the data's information in the refits; the first is used until another is better."""
 
-SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
-"""Over how many of the last seconds each refit looks, at most."""
+SPANS_S = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
+"""Length of the window of each refit."""
 
-REFITS = len(TRUSTS)
+REFITS = len(DATA_WEIGHTS)
 
 PRIOR = REFITS
 JOINT = REFITS + 1
@@ -77,63 +77,61 @@ one."""
 
 CANDIDATES = REFITS + 2
 
-_TRUSTS = np.array(TRUSTS)
+_DATA_WEIGHTS = np.array(DATA_WEIGHTS)
 COUNT_MAX = 2.0**52
 """Whole numbers up to it are exact in a double."""
 
-_SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
+_SPAN_ROWS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS_S])
 
-ENOUGH = 8
-RECORD = 25
-MARGIN = 0.25
-"""Segments before anything is chosen, segments over which the logarithms of squared errors are
-averaged, and by how much another's mean must be lower."""
+SCORED_MIN = 8
+RECORD_SEGMENTS = 25
+LOG_ERROR_MARGIN = 0.25
+"""Least number of scored segments for a choice, number over which the logarithms of squared errors
+are averaged, and by how much another's mean must be lower."""
 
-SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
-"""The first of the refits with a short span. After a change, they look back to it at most."""
+SHORT = next(r for r, span in enumerate(SPANS_S) if math.isfinite(span))
+"""The first of the refits with a short window, which begins no earlier than the last change."""
 
-SURPRISE_MAX = 4.0
-SURPRISE_DRIFT = 2.2
-SURPRISE_ALARM = 4.5
-"""Evidence that the boat has changed is a cumulative sum (Page 1954) of what the logarithms of
-squared errors exceed their long mean by: each up to the first number, less the second. At the
-third the forecasts have become worse. A boat that sails as never before, as into its first
-zigzag, makes less."""
+CUSUM_CLIP = 4.0
+CUSUM_DRIFT = 2.2
+CUSUM_ALARM = 4.5
+"""Cumulative sum (Page 1954) of the logarithms of squared errors above their mean: the bound of an
+increment, the drift that is subtracted from it, and the threshold of the sum."""
 
 EVIDENCE_ALARM = 12.5
-LAGS = (2.0, 6.0, 14.0)
-"""Evidence above which a change of thrust or current has come, and over how many seconds before
-the last segment it is sought."""
+LAGS_S = (2.0, 6.0, 14.0)
+"""Twice the log-likelihood ratio above which thrust or current have changed, and the times before
+the last segment at which a change is tested."""
 
 UNTRIED = "the prior, as there is too little usable data for a refit"
-"""What is in use before the first refit."""
+"""Name of the candidate before the first refit."""
 
 _NAMES = {
     PRIOR: "the prior, as no refit forecasts better",
     JOINT: "the joint filter",
 }
 
-_LAGS = np.array([round(lag / GRID) for lag in LAGS])
+_LAG_ROWS = np.array([round(lag / GRID) for lag in LAGS_S])
 
-KNOWN = 14
-KNOWN_THRUST = 30.0
-SETTLED = 20.0
-"""Segments that must have been compared, information that they must have on the thrust (see
-``change.known_before``), and seconds since the last alarm, before another."""
+ALARM_SCORED_MIN = 14
+ALARM_INFORMATION_MIN = 30.0
+ALARM_INTERVAL_S = 20.0
+"""Conditions of an alarm: least number of scored segments, their least information on the thrust
+(see ``change.known_before``), and least time since the last alarm."""
 
-HEAD_START = 1.1
-"""Lead that the short refits begin with, in margins."""
+SHORT_REFIT_LEAD = 1.1
+"""Lead of the short refits after a change, in margins."""
 
-TRUST_OF_JOINT = 10.0
-"""Trust in the data that goes with the parameters of the joint filter."""
+DATA_WEIGHT_OF_JOINT = 10.0
+"""Data weight that corresponds to the parameters of the joint filter."""
 
-LEAST = 1e-9
-MOST = 1e9
+SQUARED_ERROR_MIN = 1e-9
+SQUARED_ERROR_MAX = 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
 
 
 class SelectorState(NamedTuple):
-    """What the choice of the trust remembers."""
+    """Memory of the choice of the data weight."""
 
     count: Any  # (6,) see SCORED to ALARM
     surprise: Any  # (1,) evidence that the boat has changed
@@ -141,7 +139,7 @@ class SelectorState(NamedTuple):
     params: Any  # (c, p) parameters of each candidate
     factors: Any  # (refits, p, p) Cholesky factors of the inverses of the refits' covariances
     past: Any  # (slots, c, p) parameters when recent segments began
-    pull: Any  # (p,) what the short refits go on from after a change; see ``segments.Known``
+    pull: Any  # (p,) right-hand side of the prior after a change; see ``segments.Known``
     information: Any  # (h,) 0 before the first change
 
 
@@ -191,7 +189,7 @@ def forecast_error(first, rows, xi, model, config, work):
 
 
 @kernel
-def note(start, spacing, state):
+def keep_parameters(start, spacing, state):
     """Keep the parameters of all refits for the segment that begins at a row."""
     if start <= state.count[NOTED]:
         return
@@ -204,22 +202,22 @@ def note(start, spacing, state):
 
 @inlined
 def _lead(r, errors):
-    """Return by how many margins the record of a candidate is better than the first one's."""
-    return (errors[0] - errors[r]) / MARGIN
+    """Return the lead of a candidate's mean error over the first one's, in margins."""
+    return (errors[0] - errors[r]) / LOG_ERROR_MARGIN
 
 
 @inlined
 def linearised_at(state):
     """Return the refit at whose parameters segments are linearised: that in use, or the best.
 
-    Other candidates are no solution: a refit would start from where its data do not lead. The first
-    is the best until one that looks back as far has proved better.
+    Other candidates are no minimum of the refit's cost. The first refit is the best until another
+    one with a long window leads it by a margin.
     """
     chosen = int(state.count[CHOSEN])
     if chosen < REFITS:
         return chosen
     best, most = 0, 1.0
-    if state.count[SCORED] >= ENOUGH:
+    if state.count[SCORED] >= SCORED_MIN:
         for r in range(1, SHORT):
             lead = _lead(r, state.errors)
             if lead > most:
@@ -228,11 +226,11 @@ def linearised_at(state):
 
 
 @inlined
-def _trust_of(candidate):
-    """Return how far the data are trusted while a candidate is in use."""
+def _data_weight_of(candidate):
+    """Return the data weight while a candidate is in use."""
     if candidate < REFITS:
-        return max(_TRUSTS[candidate], 1.0)
-    return 1.0 if candidate == PRIOR else TRUST_OF_JOINT
+        return max(_DATA_WEIGHTS[candidate], 1.0)
+    return 1.0 if candidate == PRIOR else DATA_WEIGHT_OF_JOINT
 
 
 @inlined
@@ -249,27 +247,27 @@ def _begin_after(changed, first, state, segments, config, model, work):
     """
     count, errors, samples = state.count, state.errors, samples_of(config)
     quadratics_by_changes(0, segments.params, segments, config, model, work.change)
-    if known_before(changed, samples, segments, config, work.change) < KNOWN_THRUST:
+    if known_before(changed, samples, segments, config, work.change) < ALARM_INFORMATION_MIN:
         return
     base = state.past[max(first, 0) // config.spacing % state.past.shape[0], int(count[CHOSEN])]
-    trust = _trust_of(int(count[CHOSEN]))
-    # the first refit trusts the data least, and its covariance is the widest
+    weight = _data_weight_of(int(count[CHOSEN]))
+    # of the long refits in turn the first has the widest covariance
     known = state.factors[0], state.pull, state.information
     if not widen_known(base, *known, config, model, work):
         return
     state.surprise[0] = 0.0
     count[CHANGED], count[CHOSEN], count[ALARM] = changed, SHORT, count[NOTED]
     for r in range(SHORT, REFITS):
-        if _TRUSTS[r] <= trust:
+        if _DATA_WEIGHTS[r] <= weight:
             count[CHOSEN] = r
     for r in range(SHORT, REFITS):
-        errors[r] = errors[0] - HEAD_START * MARGIN
+        errors[r] = errors[0] - SHORT_REFIT_LEAD * LOG_ERROR_MARGIN
 
 
 @inlined
 def _may_change(row, count):
     """Return whether enough is known to say that the boat has changed, and not just now."""
-    return count[SCORED] >= KNOWN and (row - count[ALARM]) * GRID >= SETTLED
+    return count[SCORED] >= ALARM_SCORED_MIN and (row - count[ALARM]) * GRID >= ALARM_INTERVAL_S
 
 
 @kernel
@@ -281,14 +279,14 @@ def _test_for_change(newest, state, segments, config, model, work):
     if not _may_change(newest, state.count):
         return
     samples, first, surprise = samples_of(config), newest - config.steps, state.surprise
-    enough = EVIDENCE_ALARM if surprise[0] < SURPRISE_ALARM else 0.0
-    for k in range(_LAGS.shape[0]):
-        since = first - _LAGS[k]
+    enough = EVIDENCE_ALARM if surprise[0] < CUSUM_ALARM else 0.0
+    for k in range(_LAG_ROWS.shape[0]):
+        since = first - _LAG_ROWS[k]
         quadratics_by_changes(since, segments.params, segments, config, model, work.change)
         if change_evidence(since, samples, segments, config, work.change) > enough:
             _begin_after(since, first, state, segments, config, model, work)
             return
-    if surprise[0] >= SURPRISE_ALARM:
+    if surprise[0] >= CUSUM_ALARM:
         surprise[0] = 0.0
 
 
@@ -302,12 +300,12 @@ def score(first, rows, state, config, model, work):
     for r in range(_candidates(config)):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
-        error = math.log(min(max(error, LEAST), MOST))
+        error = math.log(min(max(error, SQUARED_ERROR_MIN), SQUARED_ERROR_MAX))
         if r == int(count[CHOSEN]):
-            worse = min(error - errors[r], SURPRISE_MAX)
-        errors[r] += (error - errors[r]) / min(count[SCORED], RECORD)
+            worse = min(error - errors[r], CUSUM_CLIP)
+        errors[r] += (error - errors[r]) / min(count[SCORED], RECORD_SEGMENTS)
     surprise = state.surprise
-    surprise[0] = min(max(surprise[0] + worse - SURPRISE_DRIFT, 0.0), SURPRISE_ALARM)
+    surprise[0] = min(max(surprise[0] + worse - CUSUM_DRIFT, 0.0), CUSUM_ALARM)
     if not _may_change(first, count):
         surprise[0] = 0.0
 
@@ -325,8 +323,8 @@ def _best(state, config):
 
 
 @kernel
-def select_trust(newest, state, segments, config, model, work):
-    """Refit with the trust in use and another in turn, and put the best candidate to use."""
+def select_data_weight(newest, state, segments, config, model, work):
+    """Refit with the weight in use and another in turn, and use the best candidate."""
     count, params, factors = state.count, state.params, state.factors
     _test_for_change(newest, state, segments, config, model, work)
     count[TURN] += 1.0
@@ -334,19 +332,19 @@ def select_trust(newest, state, segments, config, model, work):
     first = chosen if chosen < REFITS else int(count[TURN] + 1) % REFITS
     other = int(count[TURN]) % (REFITS - 1)
     for r in (first, other if other < first else other + 1):
-        since = max(newest - int(_SPANS[r]), int(count[CHANGED]) if r >= SHORT else 0, 0)
-        known = Known(_TRUSTS[r], since, work.solve.none, config.information)
+        since = max(newest - int(_SPAN_ROWS[r]), int(count[CHANGED]) if r >= SHORT else 0, 0)
+        known = Known(_DATA_WEIGHTS[r], since, work.solve.none, config.information)
         if r >= SHORT and newest - count[CHANGED] < config.span and state.information[0] > 0.0:
-            known = Known(_TRUSTS[r], since, state.pull, state.information)
+            known = Known(_DATA_WEIGHTS[r], since, state.pull, state.information)
         if solve(params[r], known, ITERATIONS, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    if count[SCORED] >= ENOUGH:
+    if count[SCORED] >= SCORED_MIN:
         count[CHOSEN] = chosen = _best(state, config)
     use(params[chosen], factors[chosen if chosen < REFITS else 0], segments, work)
 
 
-class TrustSelector:
-    """Refits of the same segments with unequal trust, and the record of each.
+class DataWeightSelector:
+    """Refits of the same segments with unequal data weights, and the mean error of each.
 
     The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
     flat, and ``state`` the same by name. Of these, ``params`` (c, p) are the parameters of each
@@ -398,9 +396,9 @@ class TrustSelector:
         return _NAMES.get(self.chosen) or self._refit_name(self.chosen)
 
     def _refit_name(self, r: int) -> str:
-        """Return a refit in plain words: its seconds of data, and how far it trusts them."""
-        span = min(SPANS[r], self.segments.config.span * GRID)
-        return f"the refit to the last {span:.0f} s, data weight {TRUSTS[r]:g}"
+        """Return the name of a refit: its window, s, and its data weight."""
+        span = min(SPANS_S[r], self.segments.config.span * GRID)
+        return f"the refit to the last {span:.0f} s, data weight {DATA_WEIGHTS[r]:g}"
 
     def best_refit(self) -> tuple[Array, Array] | None:
         """Return mean and standard deviations, each (p,), of the best refit; None without one."""

@@ -45,7 +45,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 ACCEL_MAX = 1e6
-"""What an accelerometer says beyond this, m/s2, is not taken for a motion."""
+"""Limit of a valid sample of an accelerometer, m/s2."""
 
 PERIOD_FORMS = ("continuous", "binary")
 """``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1."""

@@ -23,67 +23,63 @@ __all__ = [
 
 Array = NDArray[Any]
 
-STUDY_STEP = 0.05
-"""Step at which the noises below are quoted, s."""
+STUDY_STEP_S = 0.05
+"""Step at which the noises below are quoted."""
 
-DISTURBED = 0.0088, 0.039
-"""What drives the velocities (times length, m2/s) and the yaw rate (times length squared, rad m2/s)
-of a tanker within a second. These are gusts, which are no stronger for a longer model, and act on
-an area to move a mass."""
+GUST_NOISE = 0.0088
+GUST_YAW_NOISE = 0.039
+"""Standard deviations that gusts add in one second to a tanker's velocities, times length, m2/s,
+and to its yaw rate, times length squared, rad m2/s."""
 
-WAVELESS = 0.05
-WAVELESS_TURN = 0.005
-"""Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
-that of the gyro out."""
+CALM_NOISE_SHARE = 0.05
+CALM_YAW_NOISE_SHARE = 0.005
+"""Standard deviation of the measurement noise without waves over that with waves; of the yaw rate,
+that of the gyro alone."""
 
 WAVE_TIME = 1.0
-WAVE_NOISE = 0.3
-WAVE_PUSH = 10.0
-"""Waves that move a tanker: the time over which they are averaged, and what their mean square adds
-to the densities of noise. Time and measurement noise are in lengths over nominal speed, process
-noise is in nominal speeds over length."""
+WAVE_MEASUREMENT_NOISE = 0.3
+WAVE_PROCESS_NOISE = 10.0
+"""Adaptation of a tanker's noise to waves: averaging time of the squared innovations, and factors
+of that mean in the densities of measurement noise (both in L/U) and of process noise (in U/L)."""
 
 WANDERING = ("E_north", "E_east", "N_0")
-WANDER_TIME = 28.0
-"""Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
+WANDER_TIME_S = 28.0
+"""Biases of a tanker with a random walk, and the time in which it reaches the prior's variance."""
 
-ROUGH_PUSH = 4.0
-ROUGH_NOISE = 0.5
-"""Process and measurement noise of a boat with a fixed pair of thrusters, in those of the study's
-boat. No population says what such boats are like: what their rough model leaves is not white."""
+ROUGH_PROCESS_NOISE = 4.0
+ROUGH_MEASUREMENT_NOISE = 0.5
+"""Standard deviations of the noises of a boat with a fixed pair of thrusters, in those of the
+study's boat: the residuals of its rough model are not white."""
 
-REST_PUSH = 0.001
-"""Share of that process noise at rest with shafts stopped. A rough model is wrong by a share of its
-forces; where there are none, a boat that lies still says that there is no current."""
+REST_PROCESS_NOISE = 0.001
+"""Share of that process noise at rest with shafts stopped: the error of a rough model grows with
+its forces."""
 
 ROUGH_SHARE = 0.3
-"""Share of the prior's damping and thrust that such a boat keeps at least. With a tenth, the drag
-of an otter hardly grew with speed, and without GPS its speed wandered."""
+"""Least damping and thrust of such a boat, as a share of the prior's."""
 
-ROUGH_MOST = 2.5, 0.6
-"""Forecasts of such a boat. Its shafts turn so many times faster than nominal at most, and it sails
-as much faster; velocities held at the envelope, four nominal ones, are never plausible. Nothing is
-known of a velocity but its bounds where its standard deviation is .6 of them."""
+ROUGH_SPEED_RATIO_MAX = 2.5
+ROUGH_VELOCITY_SD_MAX = 0.6
+"""Forecasts of such a boat: its largest shaft speed and speed in nominal ones, and the largest
+standard deviation of a velocity over its plausible bound."""
 
-NEAR = 3.0
-"""Square of the sigma points' distance for such a boat, in standard deviations.
-
-With alpha = 1 they lie seven off. There quadratic terms feed the next step: without GPS the
-velocity of a small boat at rest jumped by half a metre a second, and its covariance had no end.
+SIGMA_DISTANCE_SQUARED = 3.0
+"""Squared distance of the sigma points for such a boat, in variances: with alpha = 1 it would be
+the number of states and parameters, at which quadratic terms dominate.
 
 Source: Julier and Uhlmann 1997, n + kappa = 3.
 """
 
-CURRENT_TIME = 300.0
-"""Time of the study's boat in which a current may change by its prior's standard deviation, s."""
+CURRENT_TIME_S = 300.0
+"""Time of the study's boat in which the current's random walk reaches its prior's variance."""
 
 UNEQUAL = ("N_0", "N_mn")
-UNEQUAL_TIME = 10.0
-"""What turns a boat with a fixed pair of thrusters that are equally fast: wind, waves and unequal
-thrusters. It wanders, by the prior's standard deviation in this time of the study's boat, s."""
+UNEQUAL_TIME_S = 10.0
+"""Turning of a boat with a fixed pair of thrusters at equal shaft speeds, a random walk, and the
+time of the study's boat in which it reaches the prior's variance."""
 
 PRIOR_INFLATION = 1.5
-"""How much larger than in the population the variances of a tanker's parameters are taken."""
+"""Factor of the population's covariance in the prior of a tanker."""
 
 
 class FilterError(UsvTwinError):
@@ -112,10 +108,10 @@ class FilterSettings:
     # share of the velocities' process noise that is left at rest: 1 where waves and wind make it,
     # less where the model's error does, which grows with the forces
     rest_push: float = 1.0
-    # at least so much of what the prior says of damping and thrust is left
+    # least damping and thrust, as a share of the prior's
     share: float = 0.1
-    # how much faster than nominal a boat may be forecast to sail with faster shafts, at most; and
-    # the most of a velocity's standard deviation in a forecast, in the largest that is plausible
+    # largest shaft speed and speed of a forecast in nominal ones; and largest standard deviation of
+    # a velocity over its plausible bound
     most: tuple[float, float] = (1.0, math.inf)
     # spread of the sigma points
     alpha: float = 1.0
@@ -158,17 +154,17 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
     rough = particulars.steering == "differential"
     if rough:
-        q[3:] *= ROUGH_PUSH
-        r *= ROUGH_NOISE
+        q[3:] *= ROUGH_PROCESS_NOISE
+        r *= ROUGH_MEASUREMENT_NOISE
     structure = model_of(particulars, model or ("mmg" if rough else "paper"), current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
-    walking = np.isin(structure.parameters, ("C_north", "C_east")) / CURRENT_TIME
+    walking = np.isin(structure.parameters, ("C_north", "C_east")) / CURRENT_TIME_S
     if rough:
-        walking = walking + np.isin(structure.parameters, UNEQUAL) / UNEQUAL_TIME
+        walking = walking + np.isin(structure.parameters, UNEQUAL) / UNEQUAL_TIME_S
     q_xi = walking * np.diag(covariance) / time
     found = FilterSettings(
         structure=structure,
-        q=q**2 / (STUDY_STEP * time),
+        q=q**2 / (STUDY_STEP_S * time),
         r=r**2 * time,
         p0=p0**2,
         q_xi=q_xi,
@@ -180,29 +176,28 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         return found
     return dataclasses.replace(
         found,
-        rest_push=REST_PUSH,
+        rest_push=REST_PROCESS_NOISE,
         share=ROUGH_SHARE,
-        most=ROUGH_MOST,
-        alpha=math.sqrt(NEAR / (N_STATES + len(structure))),
+        most=(ROUGH_SPEED_RATIO_MAX, ROUGH_VELOCITY_SD_MAX),
+        alpha=math.sqrt(SIGMA_DISTANCE_SQUARED / (N_STATES + len(structure))),
     )
 
 
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:
     """Return the settings for a slow ship of full form: docs/explanation/twin.md, Tankers."""
     L, time = particulars.length, particulars.length / particulars.speed
-    along, turning = DISTURBED
-    disturbed = np.array([along / L, along / L, turning / L**2])
+    disturbed = np.array([GUST_NOISE / L, GUST_NOISE / L, GUST_YAW_NOISE / L**2])
     calm = plain_settings(particulars, "mmg")
     structure = calm.structure
     mean, covariance = population_prior(structure, particulars)
-    wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
+    wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME_S
     mean, covariance = boat_or((mean, PRIOR_INFLATION * covariance), structure, particulars)
     return dataclasses.replace(
         calm,
         q=np.concatenate([calm.q[:3], disturbed**2]),
-        r=np.array([*5 * (WAVELESS,), WAVELESS_TURN]) ** 2 * calm.r,
+        r=np.array([*5 * (CALM_NOISE_SHARE,), CALM_YAW_NOISE_SHARE]) ** 2 * calm.r,
         q_xi=wander,
         xi0=mean,
         xi0_cov=covariance,
-        waves=(WAVE_TIME * time, WAVE_NOISE * time, WAVE_PUSH / time),
+        waves=(WAVE_TIME * time, WAVE_MEASUREMENT_NOISE * time, WAVE_PROCESS_NOISE / time),
     )

@@ -41,7 +41,7 @@ COLLINEAR = 0.999
 """Size of the cosine between two regressors above which their parameters are merged."""
 
 INFORMED = math.sqrt(0.5)
-"""Standard deviation over that of the prior at which data and prior say equally much."""
+"""Posterior over prior standard deviation at which data and prior have equal information."""
 
 NOT_SHOWN = 1e-10
 """Information of a direction, as a share of the largest, below which it is rounding."""
@@ -71,7 +71,7 @@ def accumulate(gram, terms, which, seconds):
 
 @dataclass(frozen=True)
 class SubModel:
-    """What the data say of one sub-model as a whole."""
+    """Identifiability of one sub-model as a whole."""
 
     name: str  # surge, sway or yaw
     parameters: tuple[str, ...]  # names of its parameters
@@ -95,7 +95,7 @@ class SubModel:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the data say of a parameter, or of a weighted sum of collinear ones."""
+    """Identifiability of a parameter, or of a weighted sum of collinear ones."""
 
     name: str  # name of the parameter, or the sum, such as "T_uL + T_uR"
     # parameters of the sum, and by how much each counts; the weight of the first is 1
@@ -117,7 +117,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data seen say of the parameters of a model."""
+    """Identifiability of the parameters of a model from the data."""
 
     seconds: float  # time seen, s
     submodels: tuple[SubModel, ...]  # surge, sway, yaw
@@ -167,7 +167,7 @@ def assess(
     posterior: ArrayLike,
     seconds: float,
 ) -> Identifiability:
-    """Return what the data seen, for so many seconds, say of the parameters.
+    """Return how well the data of a number of seconds determine the parameters.
 
     Parameters are merged where the cosine between their regressors over all the data exceeds
     :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that it

@@ -1,4 +1,4 @@
-"""How large forecast errors were beside their claimed variance, and how far intervals shrink.
+"""Scale of forecast intervals: forecast errors of the past over their claimed variance.
 
 Each segment that is over is forecast again from its first row, with the parameters that were in use
 then. A few more forecasts have parameters and velocities moved by one standard deviation, up or
@@ -45,15 +45,16 @@ RECORD = [
 ]
 """Fields of the predictor's memory that this module reads and writes."""
 
-MEMORY = 30.0
+MEMORY_SEGMENTS = 30.0
 """Number of segments over which the share is averaged."""
 
-MOVED = 4
+MOVED_FORECASTS = 4
 """Number of moved forecasts of a segment."""
 
-STUDENT = (0.926, 0.863)
-"""Quantile of Student's t over that of the normal distribution, less one, for intervals of 90 %.
-These are its terms of first and second order in the inverse number of errors.
+STUDENT_FIRST = 0.926
+STUDENT_SECOND = 0.863
+"""Terms of first and second order, in the inverse number of errors, of the 95 % quantile of
+Student's t over that of the normal distribution.
 
 Source: Abramowitz and Stegun 1964, 26.7.5."""
 
@@ -128,7 +129,7 @@ def _forecast(first, rows, xi, moved, config, model, work, line):
             continue
         for c in range(CHANNELS):
             if moved:
-                work.variance[point, c] += _square(c, s, work.path[point]) / MOVED
+                work.variance[point, c] += _square(c, s, work.path[point]) / MOVED_FORECASTS
             else:
                 work.square[point, c] = _square(c, s, after)
         if not moved:
@@ -155,8 +156,8 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
             scratch.start[i, k] = P[3 + i, 3 + k]
     cholesky(scratch.start, scratch.start, scratch.line)
     scratch.variance[:] = 0.0
-    for m in range(MOVED):
-        number = int(record.compared) * MOVED + m
+    for m in range(MOVED_FORECASTS):
+        number = int(record.compared) * MOVED_FORECASTS + m
         for k in range(p):
             scratch.xi[k] = xi[k]
         for j in range(p):
@@ -171,7 +172,7 @@ def compare_segment(first, rows, xi, covs, record, config, model, work):
         if not _forecast(first, rows, scratch.xi, True, config, model, scratch, work.line):
             return  # no variance is known of parameters that no boat has
     record.compared += 1.0
-    weight = 1.0 / min(record.compared, MEMORY)
+    weight = 1.0 / min(record.compared, MEMORY_SEGMENTS)
     for k in range(POINTS):
         for c in range(CHANNELS):
             share = SHARE_MAX
@@ -185,8 +186,8 @@ def _factor(point, channel, record, config):
     """Return the factor of the intervals of a channel at a point of a segment."""
     # segments overlap, so that their errors at longer times are less independent
     apart = min(1.0, config.spacing * POINTS / (config.steps * (point + 1.0)))
-    many = max(min(record.compared, MEMORY) * apart, 1.0)
-    student = 1.0 + STUDENT[0] / many + STUDENT[1] / many**2
+    many = max(min(record.compared, MEMORY_SEGMENTS) * apart, 1.0)
+    student = 1.0 + STUDENT_FIRST / many + STUDENT_SECOND / many**2
     return min(max(math.sqrt(record.share[point, channel]) * student, FACTOR_MIN), 1.0)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import R, U, V
-from twin.filters.navigation_ekf import FINE_MAX
+from twin.filters.navigation_ekf import FINE_MAX_S
 from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
@@ -30,7 +30,7 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.simd import LANES
 
 __all__ = [
-    "DOUBTED",
+    "DOUBTED_VELOCITY_SD",
     "FilterConfig",
     "FilterState",
     "FilterWorkspace",
@@ -48,15 +48,15 @@ __all__ = [
 
 Array = NDArray[Any]
 
-STEP_MAX = 0.1
-"""Longest step of the filter's prediction, s; longer gaps are cut up."""
+STEP_MAX_S = 0.1
+"""Longest step of the filter's prediction; longer gaps are cut up."""
 
-DOUBTED = 0.1
+DOUBTED_VELOCITY_SD = 0.1
 """Standard deviation of velocities under doubted commands, in envelopes."""
 
-INFORMATION_STEP = 0.25
-INFORMATION_MAX = 1.0
-"""Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
+INFORMATION_STEP_S = 0.25
+INFORMATION_GAP_MAX_S = 1.0
+"""Step at which the regressors' information is summed, and longest time for which one counts."""
 
 
 class FilterState(NamedTuple):
@@ -207,10 +207,10 @@ def scale_plan(plan, n_unit, scaled):
 def advance(dt, cmd, state, config, work):
     """Predict state, parameters and covariance over dt s under a command, in place.
 
-    Longer gaps are cut to :data:`FINE_MAX`: by then the initial velocities have decayed.
+    Longer gaps are cut to :data:`FINE_MAX_S`: by then the initial velocities have decayed.
     """
-    dt = min(dt, FINE_MAX)
-    steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
+    dt = min(dt, FINE_MAX_S)
+    steps = max(1, math.ceil(dt / STEP_MAX_S - 1e-9))
     h = dt / steps
     process_noise(h, state, config, work)
     for _ in range(steps):
@@ -221,16 +221,16 @@ def advance(dt, cmd, state, config, work):
 
 @inlined
 def information_is_due(dt, state):
-    """Return whether the terms of the moment are to be added, each :data:`INFORMATION_STEP`."""
+    """Return whether the terms of the moment are to be added, each :data:`INFORMATION_STEP_S`."""
     state.counted[0] += dt
-    return state.counted[0] >= INFORMATION_STEP - 1e-9
+    return state.counted[0] >= INFORMATION_STEP_S - 1e-9
 
 
 @inlined
 def accumulate_information(terms, state, model):
     """Add the terms of the moment to the Gram matrices."""
     counted = state.counted
-    seconds = min(counted[0], INFORMATION_MAX)
+    seconds = min(counted[0], INFORMATION_GAP_MAX_S)
     counted[0] = 0.0
     counted[1] += seconds
     for i in range(3):

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 FOLLOWED = 5
 APART = 1
-"""Points along which neighbours are followed, the start included; neighbours are more than so many
-samples apart in time. A point is a value and the one after."""
+"""Points along which neighbours are followed, the start included, and least separation in time of
+neighbours, samples. A point is a value and the one after."""
 
 LENGTH_MIN = 1 + FOLLOWED + 2 * APART + 1
 """Least number of samples."""

@@ -31,8 +31,8 @@ BOUNDS = len(SPEEDS) + 3
 SMALL = 1e-4
 """Difference of velocity for a slope, in nominal ones."""
 
-FARTHEST = -6.0
-"""An estimate beyond a bound by more standard deviations counts as so many."""
+DEVIATION_MIN_SD = -6.0
+"""Largest deviation beyond a bound, in standard deviations: a larger one is clipped to it."""
 
 
 @kernel
@@ -59,7 +59,7 @@ def physical_bounds(
     speed, shaft_speed : float
         Nominal, m/s and rev/s.
     share : float
-        At least so much of what the prior says of damping and thrust is left.
+        Least damping and thrust, as a share of the prior's.
     """
     which, hull = structure.terms.which, structure.terms.hull
     nominal = structure.n_unit * shaft_speed
@@ -95,7 +95,7 @@ def _is_physical(x, bounds):
 
 @inlined
 def keep_physical(x, P, bounds, gain):
-    """Cut a joint estimate off at the bounds of its parameters.
+    """Truncate a joint estimate at the bounds of its parameters.
 
     ``gain`` (6 + p,) is scratch.
     """
@@ -119,7 +119,7 @@ def keep_physical(x, P, bounds, gain):
         if not variance > 0.0:
             continue
         sd = math.sqrt(variance)
-        a = max((factors[p] - value) / sd, FARTHEST)
+        a = max((factors[p] - value) / sd, DEVIATION_MIN_SD)
         hazard = math.exp(-0.5 * a * a) / (
             math.sqrt(0.5 * math.pi) * math.erfc(-a / math.sqrt(2.0))
         )

@@ -10,8 +10,8 @@ were. The parameters are those that make the errors of all segments small,
 with n_i errors in segment i and a free offset d of the initial u, v, r. rho(q) is q up to ``knee``,
 and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A
 segment that a gust or a wave group has disturbed counts less, as if its weight were min(1, knee /
-q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust`` other than
-1 multiplies what all the segments say, against the prior.
+q). ``scale`` makes up for errors that are correlated from sample to sample. ``data_weight``
+multiplies the information of all segments, but not that of the prior.
 
 Each segment is kept as a quadratic in xi about the parameters at which it was linearised. The
 offset is removed by its Schur complement. So a refit costs a sum of small matrices. Segments are
@@ -35,6 +35,10 @@ from twin.model.dynamics import rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import (
     BY_CURRENT,
+    BY_PSI,
+    BY_R,
+    BY_U,
+    BY_V,
     CURRENT,
     LEFT_COS,
     N_STATES,
@@ -42,10 +46,10 @@ from twin.model.structure import (
     WIND_N,
     WIND_X,
     current_of,
+    term_slopes,
     through_water,
     thrust_terms,
 )
-from twin.model.term_slopes import BY_PSI, BY_R, BY_U, BY_V, term_slopes
 from twin.model.thrust_share import SIDES
 from usv_kernel.arrays import take
 from usv_kernel.errors import UsvTwinError

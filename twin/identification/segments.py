@@ -68,11 +68,11 @@ class SegmentState(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What a refit takes: how far it trusts which segments, and what else is known."""
+    """Weight and window of the segments in a refit, and its prior information."""
 
-    trust: Any  # factor of the segments' information
+    data_weight: Any  # factor of the segments' information
     since: Any  # segments that begin before this row do not count
-    pull: Any  # (p,) information times the difference of its mean to the prior's; 0 for the prior
+    rhs: Any  # (p,) information times the difference of its mean to the prior's; 0 for the prior
     information: Any  # (h,) inverse of its covariance, packed
 
 
@@ -184,7 +184,7 @@ def discard_before(before, state):
 
 @kernel
 def relinearise(budget, rows, xi, state, config, model, work):
-    """Relinearise at parameters, those segments first from which they have moved most."""
+    """Relinearise at parameters, first those segments whose linearisation point is farthest."""
     first, moved = state.first, work.solve.moved
     for i in range(first.shape[0]):
         moved[i] = -1.0
@@ -258,14 +258,14 @@ def _unpack(packed, A):
 
 @kernel
 def solve(xi, known, iterations, state, config, work):
-    """Move parameters to the least that the weighted quadratics and the prior make.
+    """Move parameters to the minimum of the weighted quadratics and the prior.
 
-    ``known`` says which segments count and how far, and what they are added to. ``iterations`` is
-    the number of robust reweightings. Returned is False where rounding has left no definite matrix;
-    else its factor is ``work.solve.U``.
+    ``known`` has the weight of the segments, the first of them, and the prior information.
+    ``iterations`` is the number of robust reweightings. Returned is False where rounding has left
+    no definite matrix; else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
-    total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
+    total, square, U, d, rhs = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
     prior, information = config.prior, known.information
     first, packed, slope = state.first, state.packed, state.b
     scale, knee, samples = config.scale, config.knee, samples_of(config)
@@ -277,21 +277,21 @@ def solve(xi, known, iterations, state, config, work):
         for k in range(total.shape[0]):
             total[k] = information[k]
         for k in range(p):
-            pull[k] = known.pull[k]
+            rhs[k] = known.rhs[k]
         for i in range(first.shape[0]):
             if first[i] < 0.0 or first[i] < known.since:
                 continue
             q = _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes) / samples
-            weight = known.trust * scale * (1.0 if q <= knee else knee / q)
-            own, tug = packed[i], slope[i]
+            weight = known.data_weight * scale * (1.0 if q <= knee else knee / q)
+            curvature, gradient = packed[i], slope[i]
             for k in range(total.shape[0]):
-                total[k] = fma(weight, own[k], total[k])
+                total[k] = fma(weight, curvature[k], total[k])
             for k in range(p):
-                pull[k] += weight * tug[k]
+                rhs[k] += weight * gradient[k]
         _unpack(total, U)
         if cholesky(U, U, scratch.inverse) > 0:
             return False  # The prior alone is positive definite: this is rounding.
-        solve_factored(U, pull, d)
+        solve_factored(U, rhs, d)
         for k in range(p):
             xi[k] = prior[k] + d[k]
     return True
@@ -410,7 +410,7 @@ class Segments:
         return q
 
     def objective(self, xi: Array) -> float:
-        """Return what :meth:`solve` makes small, by the quadratics."""
+        """Return the objective of :meth:`solve`, by the quadratics."""
         q = self.costs(xi)
         knee, offset = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
@@ -418,21 +418,21 @@ class Segments:
         return float(weight * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
-        """Move the parameters to the least of the quadratics and the prior; see :func:`solve`.
+        """Move the parameters to the minimum of the quadratics and the prior; see :func:`solve`.
 
         ``damping`` is that of Levenberg and Marquardt in units of the prior's information.
         """
-        pull = damping * self.information @ (self.params - self.prior)
-        known = Known(1.0, 0, pull, (1.0 + damping) * self.config.information)
+        rhs = damping * self.information @ (self.params - self.prior)
+        known = Known(1.0, 0, rhs, (1.0 + damping) * self.config.information)
         given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
         if solve(self.params, known, iterations, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
-        """Iterate to the least of the true objective; return whether it converged.
+        """Minimise the true objective; return whether the iteration converged.
 
-        Levenberg-Marquardt over ``rows`` (M, 20), at most so many iterations, until the objective
+        Levenberg-Marquardt over ``rows`` (M, 20), at most ``iterations`` times, until the objective
         falls by less than the share ``tolerance`` of itself.
         """
         many, damping = len(self.first), 0.0

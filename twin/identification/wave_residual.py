@@ -37,7 +37,7 @@ __all__ = [
 ORDER = 6
 
 RIDGE = 1e-3
-"""Part of the variance that is taken for white noise of the estimate."""
+"""Share of the variance that is treated as white noise of the estimate."""
 
 ROOT_MAX = 0.98
 """Largest root of what predicts, and largest reflection coefficient of what is drawn: waves die
@@ -107,7 +107,7 @@ def _sector_work(work, N):
 def _burg(w, ahead, back, a):
     """Write the autoregression (6,) that predicts a column (N,) best, both ways in time.
 
-    One way alone, a jump of the last second would be taken for growth that goes on. The ridge is
+    Forward errors alone would extrapolate a jump of the last second as growth. The ridge is
     that of white noise added to the column.
 
     Source: Burg 1967.
@@ -194,7 +194,7 @@ def spectral_radius(a, b):
 
 @kernel
 def forecast_waves(past, coefficients, path):
-    """Write how an autoregression goes on without noise from the last values (6, c), newest first.
+    """Write an autoregression's noise-free continuation of its last values (6, c), newest first.
 
     ``path`` (K + 1, c) begins with the newest value.
     """

@@ -14,12 +14,12 @@ from usv_kernel.jit import inlined, kernel
 __all__ = ["OBSERVER_GAIN", "WINDOW", "all_good", "last_row", "observer_gain"]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s, at most. The velocities of a draw take on its waves by it,
-too. A measured velocity is the observer's motion and its residual, and so will be those to come."""
+"""Largest gain of the low-frequency observer, 1/s; also that by which waves enter the velocities of
+a drawn forecast."""
 
-GAIN_OF_SHIP = 2.0
-"""The same in nominal speeds over length. An observer much faster than its ship follows what the
-model leaves out, and its residual says no more of it."""
+OBSERVER_GAIN_SHIP = 2.0
+"""The same in nominal speeds over length: the residual of an observer much faster than its ship
+would not hold the model's error."""
 
 WINDOW = np.dtype(
     [
@@ -42,7 +42,7 @@ WINDOW = np.dtype(
 @inlined
 def observer_gain(config):
     """Return the gain of the low-frequency observer, 1/s, by the settings of the joint filter."""
-    return min(OBSERVER_GAIN, GAIN_OF_SHIP * 0.25 * config.envelope[2])
+    return min(OBSERVER_GAIN, OBSERVER_GAIN_SHIP * 0.25 * config.envelope[2])
 
 
 @inlined

@@ -60,13 +60,13 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FIXES, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
-"""What a filter may leave out."""
+"""Sensors that a filter may leave out."""
 
 SENSED = 3
-"""The first three of these correct a filter; the others drive it."""
+"""Number of sensors that correct a filter, the first ones; the others drive its prediction."""
 
-PUSH = SENSED
-"""Accelerations as the commands make them, which correct it where no GPS does."""
+THRUST = SENSED
+"""The aid after these: accelerations that the commands make, where there is no GPS."""
 
 AIDS = 4
 
@@ -106,14 +106,14 @@ FALSE_ALARM = 1e-7
 THRESHOLD = -2.0 * math.log(FALSE_ALARM)
 """Chi-square of two degrees of freedom that is exceeded with this probability."""
 
-INNOVATION_MAX = 6.0
-"""An innovation counts up to so many standard deviations (Huber), and is not used beyond."""
+INNOVATION_MAX_SD = 6.0
+"""Innovation, in standard deviations, at which the test clips (Huber) and the filter gates."""
 
 SILENT_S = 3.0
-"""A sensor without samples for so long is absent."""
+"""Age of the last sample above which a sensor counts as absent."""
 
 RETURN_S = 2.0
-"""What was left out is used again after it has been sound for so long."""
+"""Time for which a sensor must have passed its test before it is used again."""
 
 LEARN_S = 60.0
 """Time constant with which levels, and the motion of the boat, are learned ..."""
@@ -121,28 +121,28 @@ LEARN_S = 60.0
 LEARN_FIRST_S = 10.0
 """... and that of levels at the start."""
 
-ROW_SHARE = 0.05
-"""Share of a new interval between rows in the typical one."""
+ROW_FORGETTING = 0.05
+"""Weight of a new interval in the mean interval between rows (exponential forgetting)."""
 
-ROWS_MISSING = 2.5
-"""A sample of the IMU stands for at most so many rows."""
+ROWS_HELD_MAX = 2.5
+"""Most row intervals for which one sample of the IMU is held."""
 
 STEP_MAX_S = 1.0
 """Longest step of a prediction."""
 
 GAP_S = 30.0
-"""After a gap between rows of so long nothing is known but that the boat is near."""
+"""Gap between rows above which the filters begin anew, near the last fix."""
 
 LOST_SD_M = 100.0
-"""Standard deviation of a position of which nothing is known."""
+"""Standard deviation of an unknown position."""
 
 LOST_HEADING_SD_RAD = 0.7
-"""Standard deviation of a heading of which hardly anything is known."""
+"""Standard deviation of an unknown heading."""
 
 LEVEL_MAX = 4.0
-"""Largest level, and the one to begin with: beyond, a sensor is at fault."""
+"""Largest level (inflation of the variance of the means), and its first value."""
 
-TIMING_S = 0.2
+DELAY_SD_S = 0.2
 """Standard deviation of a sensor's undeclared delay."""
 
 FILTER = np.dtype(
@@ -278,7 +278,7 @@ def bank_settings(particulars: Particulars) -> Array:
 
 @inlined
 def convert(one, gyro, accelerometers, given):
-    """Give the states of gyro and accelerometers the meaning that they have from now on."""
+    """Change the states of gyro and accelerometers to biases, or to yaw rate and acceleration."""
     if one.uses_gyro != gyro:
         one.uses_gyro = gyro
         for j in range(STATES):
@@ -373,7 +373,7 @@ def _innovation(one, aid, k, bank, age, rate, acceleration, ahead, side, gain):
     ``ahead`` and ``side`` are the antenna's arm, m north and east.
     """
     x, P, z = one.x, one.P, bank.sum
-    if aid == PUSH:
+    if aid == THRUST:
         # a bias where the accelerometers are used, else what they would measure
         at, said = A1 + k, bank.excess[k] if one.uses_accelerometers > 0.0 else bank.push[k]
         for i in range(STATES):
@@ -418,7 +418,7 @@ def _numbers(aid):
 
 
 @kernel
-def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given):
+def _test_and_correct(one, aid, bank, age, variance, span, rate, north, east, failing, given):
     """Test and correct a filter by an aid."""
     numbers, level, gain = _numbers(aid), bank.level[aid, 0], alloca_f64(STATES)
     c, s = math.cos(one.x[PSI]), math.sin(one.x[PSI])
@@ -436,15 +436,15 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given
         w1, w0 = w0, nu / math.sqrt(S)
     total = w0 * w0 + w1 * w1
     size = math.sqrt(total)
-    share = min(1.0, INNOVATION_MAX / max(size, 1e-12))
+    share = min(1.0, INNOVATION_MAX_SD / max(size, 1e-12))
     one.seen[aid] += span
     for i in range(WINDOWS):
         alpha = min(max(span / WINDOWS_S[i], span / one.seen[aid]), 1.0)
         one.mean[aid, i, 0] += alpha * (w0 * share - one.mean[aid, i, 0])
         one.mean[aid, i, 1] += alpha * (w1 * share - one.mean[aid, i, 1])
     if failing:
-        one.misfit[aid] += min(total, INNOVATION_MAX * INNOVATION_MAX) + math.log(growth)
-    if size <= INNOVATION_MAX and (aid < SENSED or bank.modelled > 0.0):
+        one.misfit[aid] += min(total, INNOVATION_MAX_SD * INNOVATION_MAX_SD) + math.log(growth)
+    if size <= INNOVATION_MAX_SD and (aid < SENSED or bank.modelled > 0.0):
         _correct(one, gain, nu, spread + variance[0])
         if numbers > 1:
             nu, spread = _innovation(one, aid, 1, bank, age, rate, east, ahead, side, gain)
@@ -453,14 +453,14 @@ def _take(one, aid, bank, age, variance, span, rate, north, east, failing, given
 
 @inlined
 def _samples(one, aid, window, bank):
-    """Return how many white innovations a mean over a window is worth."""
+    """Return the effective number of white innovations in a mean over a window."""
     span = max(bank.interval[aid], EPOCH_S)
     return max(min(one.seen[aid] / span, 2.0 * WINDOWS_S[window] / span - 1.0), 1.0)
 
 
 @inlined
 def _learn_level(one, aid, span, bank):
-    """Learn how much more the means vary than those of white innovations would."""
+    """Learn the level: the variance of the means over that of white innovations."""
     numbers, level = float(_numbers(aid)), bank.level
     share = min(span / min(max(one.seen[aid], LEARN_FIRST_S), LEARN_S), 0.1)
     first = level[aid, 0]
@@ -517,7 +517,7 @@ def _keep_last(bank, aid, z):
 
 @kernel
 def begin_at_fix(one, bank, given):
-    """Let position and velocity of a filter begin with the last ones of the GPS."""
+    """Set position and velocity of a filter to the last ones of the GPS."""
     for i in range(PN, VE + 1):
         for j in range(STATES):
             one.P[i, j] = one.P[j, i] = 0.0
@@ -528,7 +528,7 @@ def begin_at_fix(one, bank, given):
 
 @kernel
 def begin_anew(bank, given):
-    """Let every filter begin near the last fix, as if nothing else had been known."""
+    """Begin every filter near the last fix, with all else unknown."""
     for k in range(FILTERS):
         one = bank.filters[k]
         for i in range(STATES):
@@ -551,8 +551,8 @@ def _gather(dt, z, bank, given):
     bank.span += dt
     if bank.row == 0.0:
         bank.row = dt
-    bank.row += ROW_SHARE * (min(dt, ROWS_MISSING * bank.row) - bank.row)
-    covered = min(dt, ROWS_MISSING * bank.row)
+    bank.row += ROW_FORGETTING * (min(dt, ROWS_HELD_MAX * bank.row) - bank.row)
+    covered = min(dt, ROWS_HELD_MAX * bank.row)
     for aid in range(SENSED):
         bank.age[aid] += dt
         bank.age_sum[aid] += dt * bank.samples[aid]
@@ -654,7 +654,7 @@ def _advance_filter(k, bank, given, sound, failing):
     _cover_gap(one, row, bank, given)
     rate = bank.gyro[0] - one.x[G] if gyro else one.x[G]
     # the moment of a sample is known to within a row, and delays are not stated in full
-    late = TIMING_S * TIMING_S + row * row / 12.0
+    late = DELAY_SD_S * DELAY_SD_S + row * row / 12.0
     for aid in range(AIDS):
         n = bank.samples[aid]
         if n == 0.0 or (aid < SENSED and LEFT_OUT[k, aid] > 0.0):
@@ -668,11 +668,11 @@ def _advance_filter(k, bank, given, sound, failing):
         else:
             R = given.compass_var / n + late * min(rate * rate, given.rate_var)
         variance = (R, R)
-        if aid == PUSH:
+        if aid == THRUST:
             variance = (bank.push_var[0], bank.push_var[1])
         span = max(bank.interval[aid], EPOCH_S) if bank.interval[aid] > 0.0 else T
         age = bank.age_sum[aid] if aid < SENSED else 0.0
-        _take(one, aid, bank, age, variance, span, rate, north, east, failing, given)
+        _test_and_correct(one, aid, bank, age, variance, span, rate, north, east, failing, given)
         if sound and k == 0 and (aid < SENSED or bank.modelled == 0.0):
             _learn_level(one, aid, span, bank)
     one.ratio = test_ratio(k, bank)
@@ -680,7 +680,7 @@ def _advance_filter(k, bank, given, sound, failing):
 
 @inlined
 def _learn_motion(bank):
-    """Learn how large accelerations are, and how fast they and the yaw rate change."""
+    """Learn the variance of accelerations, and time constants of these and of the yaw rate."""
     T, share = bank.span, min(bank.span / LEARN_S, 0.1)
     has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
     forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
@@ -733,11 +733,11 @@ def _pass_gap(dt, z, bank, given):
 
 @kernel
 def _end_epoch(bank, given):
-    """Let the filters take the samples of an epoch; no epoch spans a gap between rows."""
+    """Update the filters by the samples of an epoch; no epoch spans a gap between rows."""
     _end_sums(bank)
-    biased = bank.filters[0].uses_accelerometers > 0.0
+    biased = bank.filters[0].uses_accelerometers > 0.0 and bank.samples[THRUST] > 0.0
     for i in range(2):
-        bank.excess[i] += bank.filters[0].x[A1 + i] if biased and bank.samples[PUSH] > 0.0 else 0.0
+        bank.excess[i] += bank.filters[0].x[A1 + i] if biased else 0.0
     failing = bank.filters[int(bank.force_filter)].ratio >= 1.0
     sound = bank.force_filter == 0.0 and not failing
     for k in range(FILTERS):

@@ -20,11 +20,11 @@ from twin.integrity.bank import (
     NO_GYRO,
     NO_VELOCITY,
     PSI,
-    PUSH,
     RETURN_S,
-    ROWS_MISSING,
+    ROWS_HELD_MAX,
     SENSED,
     SILENT_S,
+    THRUST,
     VE,
     VN,
     WINDOWS,
@@ -33,12 +33,12 @@ from twin.integrity.bank import (
     window_ratio,
 )
 from twin.integrity.commands import (
+    LEARN_LOG_RATIO_MAX,
     LEFT_DEAD,
     PUSH_LEARNED_S,
     RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
-    SUSPECT,
     WARM_UP_STEPS,
     most_evidence,
     watch_commands,
@@ -117,7 +117,7 @@ def _await_backlog(dt, memory):
     memory.backlog, memory.heard = max(memory.backlog - dt, 0.0), memory.heard + dt
     if memory.backlog == 0.0:
         memory.old = 0.0
-    if bank.begun > 0.0 and silence > max(SILENT_S, ROWS_MISSING * bank.row):
+    if bank.begun > 0.0 and silence > max(SILENT_S, ROWS_HELD_MAX * bank.row):
         memory.backlog, memory.heard = min(silence, GAP_S), 0.0
 
 
@@ -129,7 +129,7 @@ def _holds_back(memory):
 
 @inlined
 def _set_statuses(dt, z, memory):
-    """Say of each sensor whether it is used, and why not."""
+    """Set the status of each sensor, and its reason."""
     bank = memory.bank
     force = int(bank.force_filter)
     for sensor in range(COMMANDS):
@@ -173,7 +173,7 @@ def _set_statuses(dt, z, memory):
 
 @inlined
 def _watch(dt, cmd, memory, given):
-    """Hold the commands against the motion that the filter in force says."""
+    """Compare the commands with the motion that the filter in force estimates."""
     bank = memory.bank
     one = bank.filters[int(bank.force_filter)]
     c, s = math.cos(one.x[PSI]), math.sin(one.x[PSI])
@@ -204,7 +204,8 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
-    sound = sound and most_evidence(drives) < SUSPECT and drives.learned >= PUSH_LEARNED_S
+    sound = sound and most_evidence(drives) < LEARN_LOG_RATIO_MAX
+    sound = sound and drives.learned >= PUSH_LEARNED_S
     bank.modelled = 1.0 if sound and not has_gps else 0.0
     if drives.said == 0.0:
         return
@@ -214,7 +215,7 @@ def _aid_bank(memory, has_gps, given):
         bank.push[axis] = drives.push[axis] * scale
         bank.excess[axis] = drives.excess[axis] * scale
         bank.push_var[axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * scale**2
-    bank.samples[PUSH], bank.interval[PUSH] = 1.0, span
+    bank.samples[THRUST], bank.interval[THRUST] = 1.0, span
 
 
 @kernel
@@ -284,12 +285,12 @@ KNOWN_S = 1.0
 """The yaw rate is known by a sample of gyro or compass that is no older."""
 
 RESTART_SD = 0.2
-"""Standard deviation of a surge by the commands and of a sway taken for zero, nominal speeds."""
+"""Standard deviation of surge from the commands and of zero sway, in nominal speeds."""
 
 
 @kernel
 def check_sensors(dt, z, cmd, state, ready, memory, given, out):
-    """Hold the sensors of a row against each other, and leave out those at fault.
+    """Test the sensors of a row against each other, and exclude those at fault.
 
     Parameters
     ----------

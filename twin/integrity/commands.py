@@ -86,31 +86,31 @@ STEP_MIN_S = 0.9
 """A step is no shorter."""
 
 PUSH_LEARNED_S = 30.0
-"""Accelerometers are held against the commands once it was learned for so long how they differ."""
+"""Time of learning their difference, after which commands and accelerometers are compared."""
 
 WARM_UP_STEPS = 35.0
-"""Nothing is concluded before."""
+"""Number of steps before the first decision."""
 
-DECIDED = 16.0
-"""Logarithm of the likelihood ratio at which a hypothesis comes into force: 1e-7 as in the bank."""
+DECISION_LOG_RATIO = 16.0
+"""Log-likelihood ratio at which a hypothesis comes into force: a false alarm of 1e-7."""
 
 STEPS_MIN = 3.0
-"""No fewer steps decide: a motion sensor at fault spoils one or two before it is left out."""
+"""Least number of steps for a decision: a faulty sensor spoils one or two before its exclusion."""
 
-DRIFT = 0.5
-"""What a step takes off the evidence (Page's drift)."""
+CUSUM_DRIFT = 0.5
+"""Drift of the cumulative sum of log-likelihood ratios, per step (Page 1954)."""
 
-SUSPECT = 1.0
-"""Above this evidence nothing is learned: what is wrong would become the model."""
+LEARN_LOG_RATIO_MAX = 1.0
+"""Log-likelihood ratio above which coefficients are not adapted to a possible fault."""
 
-FREEDOM = 10.0
+DEGREES_OF_FREEDOM = 10.0
 """Degrees of freedom of Student's t: waves come in groups."""
 
 MODEL_ERROR = 0.25
 """Standard deviation of what each term leaves out, as a share of it."""
 
 UNKNOWN_SD = 0.7
-"""Standard deviation of the drive that unknown commands make, in nominal ones."""
+"""Standard deviation of the drive under unknown commands, in nominal drives."""
 
 MEMORY_STEPS = 150.0
 """Steps over which coefficients and residuals are learned (forgetting factor)."""
@@ -118,12 +118,12 @@ MEMORY_STEPS = 150.0
 RESIDUAL_SD_MIN = 0.009
 """Least standard deviation of the residuals, nominal units."""
 
-RESIDUAL_MAX = 3.0
-"""A residual counts up to so many standard deviations in what is learned."""
+RESIDUAL_MAX_SD = 3.0
+"""Residual, in standard deviations, at which learning clips it (Huber)."""
 
 SHAFT_MAX = 20.0
 ANGLE_MAX = 7.0
-"""Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad."""
+"""Limits of a possible command: shaft speed in nominal shaft speeds, drive angle in rad."""
 
 IDLE = 0.1
 """A boat lies idle below this drive, yaw rate and surge, nominal units."""
@@ -263,13 +263,13 @@ def _spread(drives, axis, h, row, given):
 @inlined
 def _log_likelihood(error, S):
     """Return the logarithm of Student's density, but for a constant."""
-    ratio = error * error / (S * FREEDOM)
-    return -0.5 * math.log(S) - 0.5 * (FREEDOM + 1.0) * math.log(1.0 + ratio)
+    ratio = error * error / (S * DEGREES_OF_FREEDOM)
+    return -0.5 * math.log(S) - 0.5 * (DEGREES_OF_FREEDOM + 1.0) * math.log(1.0 + ratio)
 
 
 @inlined
 def _weight(drives, axis):
-    """Return the share of independent residuals, by the correlation of neighbouring ones."""
+    """Return the effective share of independent residuals, by their lag-one correlation."""
     r = min(max(drives.product[axis], 0.0), 0.9)
     return (1.0 - r) / (1.0 + r)
 
@@ -287,7 +287,7 @@ def _learn(drives, axis, h, change, sway, given):
         S += row[i] * gain[i]
     error = change - _change(drives, axis, row)
     # an error of many deviations counts less
-    left = max(S, error * error / RESIDUAL_MAX**2)
+    left = max(S, error * error / RESIDUAL_MAX_SD**2)
     for i in range(TERMS):
         drives.theta[axis, i] += gain[i] * error / left
         for j in range(TERMS):
@@ -295,10 +295,10 @@ def _learn(drives, axis, h, change, sway, given):
     for i in range(TERMS):
         P[i, i] *= 1.0 + 1.0 / MEMORY_STEPS
     share = 1.0 / min(max(drives.steps, 4.0), MEMORY_STEPS)
-    excess = min(error * error, RESIDUAL_MAX**2 * S) - S
+    excess = min(error * error, RESIDUAL_MAX_SD**2 * S) - S
     variance = drives.variance[axis] + share * excess
     drives.variance[axis] = max(variance, RESIDUAL_SD_MIN**2)
-    w = min(max(error / math.sqrt(S), -RESIDUAL_MAX), RESIDUAL_MAX)
+    w = min(max(error / math.sqrt(S), -RESIDUAL_MAX_SD), RESIDUAL_MAX_SD)
     drives.product[axis] += share * (w * drives.residual[axis] - drives.product[axis])
     drives.residual[axis] = w
 
@@ -314,7 +314,7 @@ def most_evidence(drives):
 
 @inlined
 def _put_in_force(drives, h, now):
-    """Take a hypothesis for true."""
+    """Put a hypothesis in force: its model of the commands is used from now on."""
     drives.hypothesis, drives.since = h, now
     for k in range(HYPOTHESES):
         drives.evidence[k] = 0.0
@@ -351,7 +351,7 @@ def _write_likelihoods(
 
 
 @kernel
-def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
+def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
     """Add the evidence of a step, and learn from it.
 
     ``changes`` are those of yaw rate and surge, and what the accelerometers measured to starboard;
@@ -374,18 +374,18 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
                 more = by_all[h] - by_all[force]
                 if h == UNKNOWN and not has_gps:
                     more = by_yaw[h] - by_yaw[force]
-                more = min(more, DECIDED / STEPS_MIN) - DRIFT
+                more = min(more, DECISION_LOG_RATIO / STEPS_MIN) - CUSUM_DRIFT
                 drives.evidence[h] = max(drives.evidence[h] + more, 0.0)
             if drives.evidence[h] == 0.0:
                 drives.surges[h] = drives.surges[force]
             if drives.evidence[h] > drives.evidence[strongest]:
                 strongest = h
-        if drives.evidence[strongest] > DECIDED:
+        if drives.evidence[strongest] > DECISION_LOG_RATIO:
             _put_in_force(drives, strongest, now)
         elif force != SOUND and now - drives.since > LEARN_S:
             _put_in_force(drives, SOUND, now)
             drives.steps = 0.0
-    suspected = most_evidence(drives) > SUSPECT
+    suspected = most_evidence(drives) > LEARN_LOG_RATIO_MAX
     force = int(drives.hypothesis)
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
@@ -395,8 +395,8 @@ def _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given):
 
 
 @kernel
-def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
-    """Hold turns by gyro and by compass against that by the commands alone.
+def _compare_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
+    """Compare the turns by gyro and by compass with that by the commands alone.
 
     ``gyro`` is the yaw rate at the end of the step.
     """
@@ -414,8 +414,8 @@ def _weigh_turns(drives, gyro, motion, surge, sway, span, h, has_gps, given):
 
 
 @kernel
-def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
-    """Say what the commands make forward and to starboard in a step; learn how wrong it is.
+def _write_accelerations(drives, surge, changes, sway, turned, span, h, has_gps, given):
+    """Write the accelerations that the commands make in a step, and learn their error variance.
 
     ``surge`` is that by the commands alone when the step began.
     """
@@ -434,7 +434,7 @@ def _say_push(drives, surge, changes, sway, turned, span, h, has_gps, given):
 
 @kernel
 def _follow(drives, yaw, surge, sway, span, trained, given):
-    """Let the motion by the commands alone follow the true one, and learn the sway of turns."""
+    """Correct the motion by the commands alone towards the true one; learn the sway of turns."""
     fade = 1.0 - 1.0 / MEMORY_STEPS
     drives.drift[0] = fade * drives.drift[0] + sway * yaw
     drives.drift[1] = fade * drives.drift[1] + yaw * yaw
@@ -453,7 +453,7 @@ def _follow(drives, yaw, surge, sway, span, trained, given):
 
 @inlined
 def _is_idle(drives, yaw, surge):
-    """Return whether neither the commands made anything in a step nor the boat moved.
+    """Return whether neither drive nor motion exceeded :data:`IDLE` in a step.
 
     Nothing is learned then: the residuals would fall to their least.
     """
@@ -489,13 +489,17 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
     if not doubted and not _is_idle(drives, yaw, surge):
         axes = 2 if has_gps or measured else 1
         bias_var = motion[5] * (span / U) ** 2
-        suspected = _weigh(drives, changes, bias_var, turned, sway, axes, has_gps, now, given)
+        suspected = _add_evidence(
+            drives, changes, bias_var, turned, sway, axes, has_gps, now, given
+        )
     if trained and int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _weigh_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
+        _compare_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
         if measured:
             ahead = (changes[0], forces[0], forces[1])
-            _say_push(drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given)
+            _write_accelerations(
+                drives, own, ahead, sway, turned, span, h, has_gps and not doubted, given
+            )
     if has_gps and not doubted:
         _follow(drives, yaw, surge, sway, span, trained, given)
     return not suspected and drives.hypothesis == SOUND

@@ -2,13 +2,13 @@
 
 As long as the filter in force passes its test, what it uses is sound. Where it fails, the smallest
 set is looked for whose filter passes without it: that of a single sensor before that of a device.
-If only one passes, or one leads by likelihood, it comes into force after :data:`SINGLE_S`, else the
-best after :data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be undone
-(solution separation).
+If only one passes, or one leads by likelihood, it comes into force after :data:`DECIDE_SINGLE_S`,
+else the best after :data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be
+undone (solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
 :data:`RETURN_S`. Where it fails and a GPS is left out, it begins next with the fix. If it passes
-for :data:`FRESH_S` then, dead reckoning had drifted.
+for :data:`RETURN_AFRESH_S` then, dead reckoning had drifted.
 """
 
 from __future__ import annotations
@@ -52,32 +52,31 @@ DECISION = np.dtype(
 )
 """What is remembered of decisions."""
 
-SINGLE_S = 1.0
-"""A failure that a single filter explains is decided after so long."""
+DECIDE_SINGLE_S = 1.0
+"""Delay of the decision where a single filter explains the failure."""
 
-LEAD = -2.0 * math.log(1e-3)
-"""Twice the logarithm of the likelihood ratio by which a filter must lead to be decided for so soon
-..."""
+LEAD_LOG_RATIO = -2.0 * math.log(1e-3)
+"""Twice the log-likelihood ratio to the next filter that is decided on after the same delay."""
 
 DECIDE_S = 6.0
-"""... and after so long the best one is decided for."""
+"""Delay after which the filter with the highest likelihood is decided on."""
 
-LOST_S = 15.0
-"""If nothing explains a failure for so long, all begins again from the sensors."""
+UNEXPLAINED_S = 15.0
+"""Time without an explanation of a failure after which all filters begin anew."""
 
-FRESH_S = 20.0
-"""A filter that began afresh, with the GPS that is left out, wins after passing for so long."""
+RETURN_AFRESH_S = 20.0
+"""Time for which a filter that began from an excluded GPS must pass before the GPS is used ..."""
 
 DRIFT_SD_MAX = 20.0
-"""... if it says that dead reckoning is off by no more than so many standard deviations."""
+"""... and its largest separation from dead reckoning, in standard deviations of the latter."""
 
-PASSES_WELL = 0.5
-"""Ratio below which a filter passes with a margin: what returns must."""
+RETURN_RATIO_MAX = 0.5
+"""Ratio of statistic to threshold below which an excluded sensor may return."""
 
 
 @kernel
 def copy_filter(source, target, k, clock, given):
-    """Let filter k go on from another one, and test anew."""
+    """Set filter k to the state of another one, and restart its tests."""
     for i in range(STATES):
         target.x[i] = source.x[i]
         for j in range(STATES):
@@ -161,14 +160,14 @@ def _leave_out(bank, state, force, yaw_witness, given):
     state.in_doubt = 1.0
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
-    certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD
-    if best >= 0 and waited > (SINGLE_S if certain else DECIDE_S):
+    certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD_LOG_RATIO
+    if best >= 0 and waited > (DECIDE_SINGLE_S if certain else DECIDE_S):
         state.afresh, state.failing_since, state.in_doubt = 0.0, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
             copy_filter(filters[best], filters[0], 0, now, given)
         return True
-    if best < 0 and waited > LOST_S and bank.age[FIXES] < SILENT_S:
+    if best < 0 and waited > UNEXPLAINED_S and bank.age[FIXES] < SILENT_S:
         begin_anew(bank, given)
         state.failing_since = -1.0
         return True
@@ -177,7 +176,7 @@ def _leave_out(bank, state, force, yaw_witness, given):
 
 @inlined
 def _may_have_drifted(fresh, reckoned):
-    """Return whether dead reckoning may be so wrong as a filter that began from the GPS says."""
+    """Return whether the drift of dead reckoning may explain its separation from the GPS."""
     separation = math.hypot(fresh.x[PN] - reckoned.x[PN], fresh.x[PE] - reckoned.x[PE])
     sd = math.sqrt(reckoned.P[PN, PN] + reckoned.P[PE, PE])
     return sd > LOST_SD_M or separation < DRIFT_SD_MAX * sd
@@ -196,8 +195,8 @@ def _use_again(bank, state, force, given):
         if state.afresh > 0.0:
             begin_at_fix(full, bank, given)
         return False
-    dwell = FRESH_S if state.afresh > 0.0 else RETURN_S
-    if lasted <= dwell or full.ratio >= PASSES_WELL:
+    dwell = RETURN_AFRESH_S if state.afresh > 0.0 else RETURN_S
+    if lasted <= dwell or full.ratio >= RETURN_RATIO_MAX:
         return False
     if state.afresh > 0.0 and not _may_have_drifted(full, bank.filters[force]):
         return False
@@ -226,7 +225,7 @@ def decide(bank, state, yaw_witness, given):
         return True
     for k in range(1, FILTERS):
         lasted = now - filters[k].since
-        renew = force == 0 and filters[0].ratio < PASSES_WELL and lasted > WINDOWS_S[-1] + k
+        renew = force == 0 and filters[0].ratio < RETURN_RATIO_MAX and lasted > WINDOWS_S[-1] + k
         renew = renew and bank.age[FIXES] < SILENT_S
         if k != force and (renew or (filters[k].ratio >= 1.0 and lasted > DECIDE_S)):
             copy_filter(filters[force], filters[k], k, now, given)

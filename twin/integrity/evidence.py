@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.optimize import nnls
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, HUGE, MANY, SENSORS, VELOCITY
+from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, SAMPLES_MIN, SENSORS, SIZE_MAX, VELOCITY
 from twin.logs.clock import GAP_STEPS
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, averaged, integrated, ways
@@ -34,9 +34,9 @@ from usv_kernel.scalar import rotation
 
 __all__ = [
     "BY_COMMANDS",
-    "FLOOR",
     "GYRO_ZERO_RADPS",
     "RAW_HEADING",
+    "RHO_MIN",
     "Comparison",
     "Evidence",
     "Signals",
@@ -54,30 +54,30 @@ GRID_S = 0.1
 GRID_POINTS = 20_000
 """Step of the grid, s, and its most points: of longer logs it is coarser."""
 
-FLOOR = 0.002
-"""No two sensors agree better: squares that are left over the squares of both."""
+RHO_MIN = 0.002
+"""Least rho, the sum of squared differences of two signals over the sum of their squares."""
 
 GYRO_ZERO_RADPS = 0.01
-"""The zero of a gyro is off by less."""
+"""Largest bias of a gyro."""
 
-SLIP = 0.5
-"""A current is up to this share of the speed; in quick turns a hull drifts by so many rad."""
+SLIP_MAX = 0.5
+"""Largest current as a share of the speed, and largest drift angle in quick turns, rad."""
 
 SLOW_S = 6.0
-"""Motion that is slower is heel, trim, drift of sensors and current."""
+"""Period above which signals hold heel, trim, current and drift of sensors."""
 
 TILT_RAD = math.radians(2.0)
-"""A boat heels and trims by about so much in the mean, where no AHRS shows it."""
+"""Typical mean heel and trim of a boat without AHRS."""
 
-STILL = 0.02
-"""Commands that change by a smaller share of their size tell nothing."""
+EXCITATION_SHARE_MIN = 0.02
+"""Least change of a command, as a share of its size, that excites the boat."""
 
 ARC_RAD = 1.5
 SLOW_SHARE = 0.2
-"""Over a larger turn a way tells no direction; nor below this share of the largest speed."""
+"""Largest turn, and least share of the largest speed, at which a displacement has a direction."""
 
 HORIZONS_S = tuple(2.0**k for k in range(6))
-"""Times over which a command changes the motion; the one that explains most counts."""
+"""Response times of the boat that are tried; that of the highest likelihood counts."""
 
 RAW_HEADING = "compass_raw"
 """A column beside those of a log: the heading as the file has it, never unwrapped or averaged."""
@@ -103,7 +103,7 @@ class Signals:
 
     def has(self, *names: str) -> bool:
         """Return whether columns are there, with enough samples to compare."""
-        return all(np.isfinite(self[name]).sum() >= MANY for name in names)
+        return all(np.isfinite(self[name]).sum() >= SAMPLES_MIN for name in names)
 
     def stacked(self, *names: str) -> Array:
         """Return columns, shape (k, N)."""
@@ -119,7 +119,7 @@ class Signals:
         return dataclasses.replace(self, columns={**self.columns, **changed})
 
     def width(self, least: float, samples: float, *names: str) -> int:
-        """Return so many seconds, or samples of the slowest of some columns, in steps."""
+        """Return a width in steps: of a time (s), or of samples of the slowest of some columns."""
         slowest = max(self.intervals.get(name, 0.0) for name in names)
         return max(round(max(least, samples * slowest) / self.step), 2)
 
@@ -134,7 +134,7 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
     instruments : Instruments, optional
         Their stated latency and mounting are taken out.
     """
-    if len(recording.t) < MANY:
+    if len(recording.t) < SAMPLES_MIN:
         return None
     steps = np.diff(recording.t)
     rows, longest = float(np.median(steps)), 2.0 * HORIZONS_S[-1]
@@ -145,7 +145,7 @@ def signals_of(recording: Recording, instruments: Instruments | None = None) -> 
     stated = instruments or Instruments()
     step = max(GRID_S, rows, float(t[-1] - t[0]) / GRID_POINTS)
     grid = np.arange(t[0], t[-1], step)
-    if len(grid) < MANY:
+    if len(grid) < SAMPLES_MIN:
         return None
     last = (np.searchsorted(t, grid, "right") - 1).clip(0)
     columns, intervals = dict[str, Array](), dict[str, float]()
@@ -196,7 +196,7 @@ class Comparison(NamedTuple):
     independent: float
     """Samples of what is left that are independent, of ..."""
     samples: int
-    """... so many."""
+    """... number of samples."""
     uses: frozenset[str] = frozenset()
     """Columns that it was made of."""
 
@@ -211,13 +211,13 @@ def _compare(x: npt.NDArray[Any], y: npt.NDArray[Any], uses: frozenset[str]) -> 
     weight = np.minimum(1.0, 4.0 * float(np.median(left)) / np.maximum(left, 1e-300))
     both = float(weight @ (np.abs(x) ** 2 + np.abs(y) ** 2))
     square = float(weight @ left**2)
-    if not 0.0 < both < HUGE:
+    if not 0.0 < both < SIZE_MAX:
         return None
     d = np.sqrt(weight) * (x - y)
     # neighbours say the same
     along = float(np.real(np.vdot(d[1:], d[:-1]))) / max(square, 1e-300)
     same = min(max(along, 0.0), 0.95)
-    return Comparison(square / both + FLOOR, len(x) * (1.0 - same) / (1.0 + same), len(x), uses)
+    return Comparison(square / both + RHO_MIN, len(x) * (1.0 - same) / (1.0 + same), len(x), uses)
 
 
 def gain(before: Comparison | None, after: Comparison | None) -> float:
@@ -234,7 +234,7 @@ def gain(before: Comparison | None, after: Comparison | None) -> float:
 def _mean(
     values: npt.NDArray[Any], count: int, at: slice | npt.NDArray[np.intp] = slice(None)
 ) -> npt.NDArray[Any]:
-    """Return means over so many steps around each, or some; NaN where some are missing."""
+    """Return centred means over ``count`` steps, at some or all; NaN where some are missing."""
     lost = np.isnan(values)
     total = np.concatenate(
         [[0.0], np.cumsum(np.where(lost, 0.0, values) if lost.any() else values)]
@@ -250,7 +250,7 @@ def _mean(
 
 
 def _sum(values: npt.NDArray[Any], step: float) -> npt.NDArray[Any]:
-    """Return the integral of signals; NaN where they are missing."""
+    """Return the integral of signals over time; NaN where they are missing."""
     lost = np.isnan(values)
     t: Array = np.asarray(step * np.arange(len(values)), np.float64)
     total = np.asarray(integrated(t, np.where(lost, 0.0, values)))
@@ -290,7 +290,7 @@ def level_forces(roll: Array, pitch: Array, forces: Array) -> tuple[Array, Array
     return forces[0] * np.cos(pitch) + down * np.sin(pitch), aside
 
 
-def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
+def _angle_and_gyro(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     """Changes of an angle, and of the integrated gyro less its bias."""
     width = s.width(least_s, 6.0, name, GYROS[axis])
     turn = s[GYROS[axis]]
@@ -299,7 +299,7 @@ def _turned(s: Signals, name: str, axis: int, least_s: float) -> Pair:
     angle, rate = s[name], _sum(turn, s.step)
     x = _changes(angle, width)
     # as long as noise is a part of it
-    while len(x) > 2 * MANY and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
+    while len(x) > 2 * SAMPLES_MIN and np.nanstd(x) < np.nanstd(np.diff(x, n=3)):
         width *= 2
         x = _changes(angle, width)
     y = _changes(rate, width)
@@ -323,31 +323,31 @@ def _both(s: Signals, x: npt.NDArray[Any], rate: npt.NDArray[Any], width: int, o
     return _changes(x, width, order), _changes(_sum(rate, s.step), width, order)
 
 
-def _gone(s: Signals) -> Pair:
+def _fixes_and_velocity(s: Signals) -> Pair:
     """Way of the fixes, and of the integrated velocity."""
     return _both(s, s.level(FIX), s.level(VELOCITY), s.width(s.way_s, 2.0, *FIX), 1)
 
 
-def _pushed(s: Signals) -> Pair:
-    """Changes of the level velocity, or of that of the fixes, and of the integrated forces."""
+def _velocity_and_forces(s: Signals) -> Pair:
+    """Changes of velocity (of GPS or fixes), and of the integrated level specific forces."""
     force = _accelerations(s)
     if s.has(*VELOCITY):
         return _both(s, s.level(VELOCITY), force, s.width(1.0, 2.0, *VELOCITY), 2)
     return _both(s, s.level(FIX), _sum(force, s.step), s.width(2.0, 4.0, *FIX), 3)
 
 
-def _heaved(s: Signals) -> Pair:
+def _climb_and_force(s: Signals) -> Pair:
     """Changes of the vertical speed, and of the integrated vertical force."""
     force = s[FORCES[2]] - np.nanmean(s[FORCES[2]])
     return _both(s, s["gps_vz_mps"], force, s.width(0.5, 2.0, "gps_vz_mps"), 2)
 
 
-def _risen(s: Signals) -> Pair:
+def _height_and_climb(s: Signals) -> Pair:
     """Changes of the height, and of the integrated vertical speed."""
     return _both(s, s["gps_z_m"], s["gps_vz_mps"], s.width(1.0, 2.0, "gps_z_m"), 2)
 
 
-def _weighed(s: Signals) -> Pair:
+def _force_and_gravity(s: Signals) -> Pair:
     """Mean specific force, and gravity with the acceleration of turns."""
     nothing = np.zeros(len(s.t))
     if not s.has(*FORCES):
@@ -369,7 +369,7 @@ def _weighed(s: Signals) -> Pair:
 
 
 def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
-    """Return velocities over ground, and those of a boat that goes as it points and is commanded.
+    """Return velocities over ground, and their prediction from heading and commands.
 
     Its speed ahead is free; in turns it drifts in proportion to the yaw rate; the current is one.
     Velocities are means over a width of steps, in the middles of such widths.
@@ -392,11 +392,11 @@ def _along(s: Signals, velocity: npt.NDArray[Any], width: int) -> Pair:
     fit = np.zeros(3)
     for _ in range(3):
         left = side - known @ fit
-        weight = float(left @ left) / len(v) / SLIP**2 * np.eye(3)
+        weight = float(left @ left) / len(v) / SLIP_MAX**2 * np.eye(3)
         fit = np.linalg.solve(known.T @ known + weight + 1e-12 * np.eye(3), known.T @ side)
     # no current is as fast as the boat, whatever it would explain
-    share = min(1.0, SLIP / max(math.hypot(fit[0], fit[1]), 1e-9))
-    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -SLIP, SLIP)
+    share = min(1.0, SLIP_MAX / max(math.hypot(fit[0], fit[1]), 1e-9))
+    current, drift = size * share * (fit[0] + 1j * fit[1]), np.clip(fit[2], -SLIP_MAX, SLIP_MAX)
     sign = np.where(thrust[ok] < 0.0, -1.0, 1.0)
     ahead = sign * np.maximum(sign * ((v - current) * axes.conj()).real, 0.0)
     return v, current + axes * (ahead + 1j * size * drift * known[:, 2])
@@ -427,7 +427,7 @@ def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[
     both = np.column_stack([change[ok], *(column[ok] for column in commands)])
     left = both - known @ np.linalg.lstsq(known, both, rcond=1e-9)[0]
     size = np.linalg.norm(left, axis=0)
-    size[size < STILL * np.linalg.norm(both, axis=0)] = math.inf
+    size[size < EXCITATION_SHARE_MIN * np.linalg.norm(both, axis=0)] = math.inf
     y, made = left[:, 0], left[:, 1:] / np.maximum(size[1:], 1e-300)
     either = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
     shrunk = max(float(either @ either), 1e-300) / max(float(y @ y), 1e-300)
@@ -441,7 +441,7 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     total = force.sum(axis=0)
     acts = [force[0] - force[1]]
     if np.ptp(steering) > 0.0:
-        if np.std(acts[0]) < STILL * np.abs(total).max(initial=0.0):
+        if np.std(acts[0]) < EXCITATION_SHARE_MIN * np.abs(total).max(initial=0.0):
             del acts[0]
         acts.append(steering.mean(axis=0) * (total if total.any() else np.ones_like(total)))
     half = max(round(0.5 * horizon / s.step), 1)
@@ -454,13 +454,13 @@ def _turns_by(s: Signals, horizon: float) -> tuple[Array, list[Array], list[Arra
     return after - before, [before], [_mean(each, 2 * half, rows + half) for each in acts]
 
 
-def _yawed(s: Signals) -> Pair:
+def _yaw_and_commands(s: Signals) -> Pair:
     """Changes of the yaw rate by the compass, and what the commands make of it at their horizon."""
     tried = [_explained(*_turns_by(s, horizon)) for horizon in HORIZONS_S]
     return max(tried, key=lambda each: each[0])[1]
 
 
-def _surged(s: Signals) -> Pair:
+def _surge_and_thrust(s: Signals) -> Pair:
     """Changes of the speed ahead by the fixes, and what the thrust makes of it."""
     width = s.width(s.way_s, 2.0, *FIX)
     way = _changes(s.level(FIX), width) / (width * s.step)
@@ -475,23 +475,23 @@ def _surged(s: Signals) -> Pair:
 
 
 BY_GRAVITY, BY_COMMANDS = "gravity and accelerometers", ("turns and commands", "speed and thrust")
-"""The comparison with one value for all time; those with a model of the boat, which is rough."""
+"""The comparison with a constant; those that need a model of the boat."""
 
 COMPARISONS: dict[str, Callable[[Signals], Pair]] = {
-    "fixes and velocity": _gone,
-    "turns of compass and gyro": lambda s: _turned(s, "compass_rad", 2, 2.0),
+    "fixes and velocity": _fixes_and_velocity,
+    "turns of compass and gyro": lambda s: _angle_and_gyro(s, "compass_rad", 2, 2.0),
     "track and compass": _track,
     "course and compass": _course,
-    "velocity and accelerometers": _pushed,
-    "roll of AHRS and gyro": lambda s: _turned(s, ANGLES[0], 0, 0.5),
-    "pitch of AHRS and gyro": lambda s: _turned(s, ANGLES[1], 1, 0.5),
-    "vertical speed and accelerometer": _heaved,
-    "height and vertical speed": _risen,
-    BY_GRAVITY: _weighed,
-    BY_COMMANDS[0]: _yawed,
-    BY_COMMANDS[1]: _surged,
+    "velocity and accelerometers": _velocity_and_forces,
+    "roll of AHRS and gyro": lambda s: _angle_and_gyro(s, ANGLES[0], 0, 0.5),
+    "pitch of AHRS and gyro": lambda s: _angle_and_gyro(s, ANGLES[1], 1, 0.5),
+    "vertical speed and accelerometer": _climb_and_force,
+    "height and vertical speed": _height_and_climb,
+    BY_GRAVITY: _force_and_gravity,
+    BY_COMMANDS[0]: _yaw_and_commands,
+    BY_COMMANDS[1]: _surge_and_thrust,
 }
-"""What gives two signals that are equal if all is sound."""
+"""By name, the function of two signals that are equal where no sensor is at fault."""
 
 Evidence = dict[str, Comparison | None]
 
@@ -537,6 +537,6 @@ def log_likelihood(
             # boats heel and trim, all along: each window counts
             windows = len(s.t) // s.width(SLOW_S, 0.0, *FORCES)
             tilt = (0.5 if s.has(*ANGLES) else 1.0) * TILT_RAD
-            one = Comparison(one.rho - FLOOR + tilt**2, windows, windows, one.uses)
+            one = Comparison(one.rho - RHO_MIN + tilt**2, windows, windows, one.uses)
         found[name] = one
     return found

@@ -11,8 +11,8 @@ from usv_kernel.records import field_at, record_size
 
 __all__ = ["HealthHistory"]
 
-KEPT = 1000
-"""So many changes are kept, the last ones."""
+CHANGES_KEPT = 1000
+"""Number of changes that are kept, the last ones."""
 
 _FIRST = field_at(INTEGRITY, "sensors") + field_at(STATUS, "status")
 _STATUS = slice(_FIRST, _FIRST + len(SENSORS) * record_size(STATUS), record_size(STATUS))
@@ -55,7 +55,7 @@ class HealthHistory:
         if status != self._last:
             self._last = status
             self._changes.append(_Change(t, self._monitor.statuses(begin) | others))
-            del self._changes[:-KEPT]
+            del self._changes[:-CHANGES_KEPT]
 
     def at(self, t: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor at a time, s; empty before the first row."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS, MOTION_AT
-from twin.integrity.rows import FIX, HUGE, SENSORS, STAMPS_S, fix_scatter, speed_of
+from twin.integrity.rows import FIX, SENSORS, SIZE_MAX, STAMP_JITTER_S, fix_scatter, speed_of
 from twin.integrity.transforms import Trial
 from twin.logs.jumps import TYPICAL
 from twin.logs.recording import Recording
@@ -33,10 +33,10 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-LEAST = 0.25
-LEAST_FIX_M = 0.005
-"""No standard deviation is set to a smaller share of the usual one, nor that of fixes, which differ
-more, to less than the second: filtered columns are smoother than the sensor is true."""
+SD_SHARE_MIN = 0.25
+FIX_SD_MIN_M = 0.005
+"""Least estimate of a standard deviation, as a share of the usual one, and of that of fixes, m:
+filtered columns are smoother than their sensor is accurate."""
 
 UPRIGHT_MPS2 = 0.07
 """Margin for what the white noise of an accelerometer leaves out: the tilt of the boat."""
@@ -92,7 +92,7 @@ def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
         unit, scale = UNITS[columns[0].rpartition("_")[2]]
         noise = math.nan
         if len(t) >= ENOUGH and name != "wind":
-            squares = [min(white_noise(t, column), HUGE) ** 2 for column in values.T]
+            squares = [min(white_noise(t, column), SIZE_MAX) ** 2 for column in values.T]
             noise = scale * math.sqrt(sum(squares) / len(squares))
         figures.append(SensorFigures(name, rate, noise, unit if rate else ""))
     return tuple(figures)
@@ -124,7 +124,7 @@ def estimate_instruments(
     usual, scatter = Instruments(), "scatter from sample to sample"
     along = fix_scatter(*recording.samples(*FIX))[0]
     found = {
-        "gps_sd": (max(noise["fix"], LEAST_FIX_M), "scatter from fix to fix"),
+        "gps_sd": (max(noise["fix"], FIX_SD_MIN_M), "scatter from fix to fix"),
         "accel_sd": (
             math.hypot(noise["accelerometers"], UPRIGHT_MPS2),
             f"{scatter}, and {UPRIGHT_MPS2} for tilt",
@@ -133,15 +133,15 @@ def estimate_instruments(
     if along > found["gps_sd"][0]:
         found["gps_sd"] = along, "scatter of the fixes along the track"
     for key, sensor in NOISY.items():
-        value, least = noise[sensor], LEAST * getattr(usual, key)
+        value, least = noise[sensor], SD_SHARE_MIN * getattr(usual, key)
         found[key] = max(value, least), scatter if value > least else f"{scatter}, least value"
     bias, late = measured.get("gyro_bias_sd"), measured.get("gps_latency")
     if bias is not None:
-        least = LEAST * usual.gyro_bias_sd
+        least = SD_SHARE_MIN * usual.gyro_bias_sd
         found["gyro_bias_sd"] = max(abs(bias.size), least), "mean difference from the compass"
-    if late is not None and late.sd < STAMPS_S < late.size + STAMPS_S:
+    if late is not None and late.sd < STAMP_JITTER_S < late.size + STAMP_JITTER_S:
         found["gps_latency"] = min(late.size, LATENCY_MAX), "best agreement with accelerometers"
-    found = {key: pair for key, pair in found.items() if 0.0 <= pair[0] < HUGE}
+    found = {key: pair for key, pair in found.items() if 0.0 <= pair[0] < SIZE_MAX}
     base = Instruments() if particulars is None else particulars.instruments
     values: dict[str, Any] = {key: float(f"{pair[0]:.3g}") for key, pair in found.items()}
     return dataclasses.replace(base, **values), {key: pair[1] for key, pair in found.items()}

@@ -43,7 +43,7 @@ from twin.integrity.rows import (
     FIX,
     FORCES,
     GYROS,
-    MANY,
+    SAMPLES_MIN,
     SENSORS,
     check_cells,
     check_commands,
@@ -67,10 +67,10 @@ __all__ = ["LogCheck", "SensorFigures", "check_log", "check_recording"]
 
 Array = npt.NDArray[np.float64]
 
-SHORT_S = 1.0
-DOUBT_S = 8.0
-"""A sensor that the checks leave out or doubt for less than the first is not worth a word; for
-less than the second at once, and few rows in all, a note."""
+REPORTED_MIN_S = 1.0
+WARNING_MIN_S = 8.0
+"""Least time in doubt of a sensor that is reported, and least time at once that is a warning; a
+shorter one, with few rows in all, is a note."""
 
 OF_COMMANDS = {"commands", "left", "right", "shafts", "steering"}
 """Sensors of findings about commands."""
@@ -212,7 +212,7 @@ def _check(recording: Recording, particulars: Particulars | None) -> LogCheck:
     recording, found = without_marks(recording, particulars)
     found += check_time(recording) + check_cells(recording)
     base = Instruments() if particulars is None else particulars.instruments
-    if len(recording.t) < MANY:
+    if len(recording.t) < SAMPLES_MIN:
         return LogCheck(_sorted(found), sensor_figures(recording), {}, base, {}, recording)
     kept, leaps = without_leaps(recording)
     found += check_silence(recording) + leaps
@@ -283,7 +283,7 @@ def _doubted(
     statuses, reasons = run_over(boat, t, rows.z, rows.cmd)
     for j, sensor in enumerate(CHECKED if with_commands else CHECKED[:-1]):
         out = (statuses[:, j] == EXCLUDED) | (statuses[:, j] == DOUBTFUL)
-        runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > SHORT_S]
+        runs = [(i, k - 1) for i, k in runs_of(out) if t[k - 1] - t[i] > REPORTED_MIN_S]
         if not runs:
             continue
         i, k = max(runs, key=lambda run: t[run[1]] - t[run[0]])
@@ -293,7 +293,7 @@ def _doubted(
         if len(runs) > 1:
             what += f", {total:.0f} s in {len(runs)} stretches"
         code = {IMPOSSIBLE: "mark", FROZEN: "frozen"}.get(why, "contradiction")
-        brief = t[k] - t[i] < DOUBT_S and total < FEW * (t[-1] - t[0])
+        brief = t[k] - t[i] < WARNING_MIN_S and total < FEW * (t[-1] - t[0])
         # of commands, the whole log tells more than a stretch
         severity = NOTE if brief or sensor == "commands" else WARNING
         remedy = "the twin leaves it out there; mend it or empty these cells"

@@ -83,7 +83,7 @@ def statuses_of(record: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
 
 
 class SensorMonitor:
-    """Holds sensors and commands of a boat against each other, row by row.
+    """Tests sensors and commands of a boat against each other, row by row.
 
     Parameters
     ----------

@@ -34,10 +34,10 @@ __all__ = [
     "FIX",
     "FORCES",
     "GYROS",
-    "HUGE",
-    "MANY",
+    "SAMPLES_MIN",
     "SENSORS",
-    "STAMPS_S",
+    "SIZE_MAX",
+    "STAMP_JITTER_S",
     "VELOCITY",
     "check_cells",
     "check_commands",
@@ -74,49 +74,49 @@ SENSORS: dict[str, tuple[str, ...]] = {
 """Sensors and the columns that come together."""
 
 OPTIONAL = frozenset(MEASUREMENTS[WIND_SPEED:])
-"""Columns that tell wind, roll, pitch and heave: a twin does without them."""
+"""Columns of wind, roll, pitch and heave, which a twin does not need."""
 
-MANY = 3 * ENOUGH
-"""Fewer samples than this tell no motion."""
+SAMPLES_MIN = 3 * ENOUGH
+"""Least number of samples from which motion is estimated."""
 
-ROWS_S = 5.0
-"""Rows that are farther apart, in the median, hardly count seconds."""
+ROW_STEP_MAX_S = 5.0
+"""Largest plausible median step between rows."""
 
-JITTER = 0.05
-"""Steps of time that spread by more of the median jitter."""
+JITTER_SHARE = 0.05
+"""Spread of the time steps, as a share of their median, above which they jitter."""
 
-STAMPS_S = 0.03
-"""Stamps of fixes that jitter by more are worth a word."""
+STAMP_JITTER_S = 0.03
+"""Jitter of the time stamps of fixes above which it is reported."""
 
-SILENT_S = 2.0
-STALE_S = 0.5
-"""A sensor is lost when it gives nothing new for longer, and for so many of its intervals; all of
-them never repeat themselves at once for longer than the last."""
+OUTAGE_MIN_S = 2.0
+FROZEN_MAX_S = 0.5
+"""Least outage of a sensor that is reported, and longest time for which all sensors may repeat
+their samples at once."""
 
-OUTLIER = 15.0
+LEAP_DEVIATIONS = 15.0
 LEAP_M = 0.1
 LEAP_RAD = math.radians(4.0)
-"""A leap is so many times the median deviation, and at least so large."""
+"""Least deviation of a leap: in median deviations, in m, and in rad."""
 
-HUGE = 1e100
-"""No scatter is larger."""
+SIZE_MAX = 1e100
+"""Bound of an estimated scatter."""
 
-SAILS_M = 20.0
-"""A boat that goes farther sails."""
+SAILING_MIN_M = 20.0
+"""Distance above which a boat counts as sailing."""
 
-ABSURD = 4.0
-"""A sample so many times as large as the others is none, however the boat moved, ..."""
+GROSS_RATIO = 4.0
+"""Size of a gross error over the usual size of its column ..."""
 
-FAR = 400.0
-ABSURD_FROM = {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
-"""... if it is larger than this, in the unit of its column."""
+GROSS_OTHER_MIN = 400.0
+GROSS_MIN = {"mps": FAST_MPS, "radps": TURN_LIMIT, "mps2": ACCEL_LIMIT}
+"""... and its least size, in the unit of its column, and where a unit has no entry."""
 
 LARGE_ANGLE_RAD = 0.5 * math.pi
-"""Few rudders and drives turn farther."""
+"""Largest usual angle of rudders and drives."""
 
 SHAFT_FAR = 5.0
 SHAFT_NEAR = 1.4
-"""Speed over shaft speed is that of the particulars, or of a unit, within these factors."""
+"""Factors within which speed over shaft speed matches that of the particulars, and a unit."""
 
 
 def check_time(recording: Recording) -> list[Finding]:
@@ -127,7 +127,7 @@ def check_time(recording: Recording) -> list[Finding]:
         return found
     step = np.diff(t)
     median = float(np.median(step))
-    if median >= ROWS_S:
+    if median >= ROW_STEP_MAX_S:
         what = f"rows are {median:.4g} s apart"
         remedy = 'if t_s counts milliseconds, give it unit = "ms" in a mapping file'
         found.append(Finding(WARNING, "time-unit", what, remedy, "time", median))
@@ -149,7 +149,7 @@ def check_time(recording: Recording) -> list[Finding]:
         )
         found.append(Finding(WARNING, "gap", what, remedy, "time", float(step[row]), **span))
     jitter, whose = _uneven(step[~gap]), _uneven_sensors(recording)
-    if jitter > JITTER * median and whose:
+    if jitter > JITTER_SHARE * median and whose:
         what = f"the stamps of {whose} jitter: steps of {median:.3g} s spread by {jitter:.2g} s"
         remedy = "stamp samples when they are taken, not when they are written"
         found.append(Finding(WARNING, "jitter", what, remedy, "time", jitter))
@@ -159,7 +159,7 @@ def check_time(recording: Recording) -> list[Finding]:
         remedy = 'if the time counts minutes or so, unit = "min" for t_s in a mapping file'
         found.append(Finding(ERROR, "unit", what, remedy, "time", speed))
     late = math.sqrt(max(along**2 - across**2, 0.0)) / max(speed, 1e-9)
-    if along > 2.0 * across and late > STAMPS_S:
+    if along > 2.0 * across and late > STAMP_JITTER_S:
         what = (
             f"the stamps of the fixes jitter by {late:.2f} s: at {speed:.1f} m/s they scatter by "
             f"{along:.2g} m along the track, {across:.2g} m across it"
@@ -176,7 +176,7 @@ def _uneven(steps: Array) -> float:
 
 
 def _uneven_sensors(recording: Recording) -> str:
-    """Return whose stamps jitter, if any.
+    """Return the sensors whose time stamps jitter.
 
     Rows that only hold the samples of several regular sensors are as irregular as their union.
     """
@@ -188,7 +188,7 @@ def _uneven_sensors(recording: Recording) -> str:
         times = recording.t[given], recording.t[given & ~repeated(values)]
         steps = [np.diff(t) for t in times if len(t) > ENOUGH]
         if steps:
-            uneven[sensor] = all(_uneven(each) > JITTER * np.median(each) for each in steps)
+            uneven[sensor] = all(_uneven(each) > JITTER_SHARE * np.median(each) for each in steps)
     return "the rows" if all(uneven.values()) else ", ".join(k for k, v in uneven.items() if v)
 
 
@@ -246,7 +246,7 @@ def fix_scatter(t: Array, fix: Array) -> tuple[float, float, float]:
 
     A stamp that is wrong by dt moves the fix along the track by speed times dt, not across it.
     """
-    if len(t) < MANY:
+    if len(t) < SAMPLES_MIN:
         return 0.0, 0.0, 0.0
     left, way = interpolation_residual(t, fix), fix[4:] - fix[:-4]
     length = np.hypot(*way.T)
@@ -257,7 +257,7 @@ def fix_scatter(t: Array, fix: Array) -> tuple[float, float, float]:
     ahead = way[fast] / length[fast, None]
     along = robust_sd((left[fast] * ahead).sum(axis=1))
     across = robust_sd(left[fast, 1] * ahead[:, 0] - left[fast, 0] * ahead[:, 1])
-    return min(along, HUGE), min(across, HUGE), float(np.median(speed[fast]))
+    return min(along, SIZE_MAX), min(across, SIZE_MAX), float(np.median(speed[fast]))
 
 
 def is_dead(values: Array) -> bool:
@@ -306,7 +306,7 @@ def check_silence(recording: Recording) -> list[Finding]:
         for name, values in zip(MEASUREMENTS, recording.z.T, strict=True)
         if np.mean(np.abs(np.diff(values)) > 0.0) > 0.5
     )
-    found = _silent(recording, "rows", moving, STALE_S, GAP_STEPS) if len(moving) > 1 else []
+    found = _silent(recording, "rows", moving, FROZEN_MAX_S, GAP_STEPS) if len(moving) > 1 else []
     for sensor, names in SENSORS.items():
         lost = _silent(recording, sensor, names)
         if not lost and names not in (FIX, VELOCITY):
@@ -319,7 +319,7 @@ def _silent(
     recording: Recording,
     sensor: str,
     names: tuple[str, ...],
-    least_s: float = SILENT_S,
+    least_s: float = OUTAGE_MIN_S,
     intervals: float = 2.0 * GAP_STEPS,
 ) -> list[Finding]:
     """Return a finding on the longest silence of columns, missing or the same, if it is long.
@@ -386,7 +386,7 @@ def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
         recording = recording.without(FIX, jumps.lost)
     for sensor, least, unit in (("fix", LEAP_M, "m"), ("compass", LEAP_RAD, "rad")):
         t, values = recording.samples(*SENSORS[sensor])
-        if len(t) < MANY:
+        if len(t) < SAMPLES_MIN:
             continue
         if sensor == "compass":
             values = np.unwrap(values, axis=0)
@@ -396,8 +396,8 @@ def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
         near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
         left = np.sqrt(((step[2:-2] - width[2:-2, None] * near) ** 2).sum(axis=1))
         left[width[2:-2] > 0.5 * GAP_STEPS * np.median(width)] = 0.0
-        wild = np.flatnonzero(left > max(least, OUTLIER * float(np.median(left))))
-        if not 0 < MANY * len(wild) <= len(t):  # else the values are coarse
+        wild = np.flatnonzero(left > max(least, LEAP_DEVIATIONS * float(np.median(left))))
+        if not 0 < SAMPLES_MIN * len(wild) <= len(t):  # else the values are coarse
             continue
         most = int(np.argmax(left))
         at, size = float(t[most + 3]), float(left[most])
@@ -419,9 +419,9 @@ def without_marks(
     value counts once. Fixes have a rule of their own (:func:`without_leaps`). A command is absurd
     that is as far from the others, and from what the shafts of the boat or an angle can be.
     """
-    found, least = list[Finding](), dict(ABSURD_FROM)
+    found, least = list[Finding](), dict(GROSS_MIN)
     if particulars is not None:
-        least["rps"] = ABSURD * particulars.shaft_speed
+        least["rps"] = GROSS_RATIO * particulars.shaft_speed
     channels, table = (*MEASUREMENTS, *COMMANDS), np.column_stack([recording.z, recording.cmd])
     others = ((name,) for name in MEASUREMENTS if name not in (*FIX, *VELOCITY))
     for names in (VELOCITY, *others, COMMANDS[:2], COMMANDS[2:]):
@@ -440,12 +440,12 @@ def without_marks(
         if len(distinct) < ENOUGH:
             continue
         usual, unit = float(np.quantile(distinct, 1.0 - FEW)), names[0].rpartition("_")[2]
-        absurd = size > max(ABSURD * usual, least.get(unit, FAR))
+        absurd = size > max(GROSS_RATIO * usual, least.get(unit, GROSS_OTHER_MIN))
         if sensor in HEADINGS:
             absurd |= np.isin(values, marks_of(values, 2.0 * math.pi))
         elif sensor in COMMANDS:
             often = np.isin(values, marks_of(values, math.inf))
-            absurd |= often & (size > (least["rad"] if unit == "rad" else ABSURD * usual))
+            absurd |= often & (size > (least["rad"] if unit == "rad" else GROSS_RATIO * usual))
         rows = np.flatnonzero(absurd)
         if not len(rows):
             continue
@@ -483,7 +483,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
         way = float(speed.sum() * np.median(np.diff(at)))
         used = {"left": n[:, 0].any(), "right": n[:, 1].any()}
         still = [side for side, moves in used.items() if not moves]
-        if way > SAILS_M and still:
+        if way > SAILING_MIN_M and still:
             sensor, severity = ("commands", ERROR) if len(still) > 1 else (still[0], WARNING)
             code, which = ("missing", name) if len(still) > 1 else ("sides", f"n_{still[0]}_rps")
             what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
@@ -506,7 +506,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
 def speed_of(recording: Recording) -> tuple[Array, Array] | None:
     """Return times (M,), s, and velocities over ground (M, 2), m/s, of the fixes, if any."""
     t, fix = recording.samples(*FIX)
-    if len(t) < MANY:
+    if len(t) < SAMPLES_MIN:
         return None
     way, middle, step = ways(t, fix)
     known = np.isfinite(way).all(axis=1)

@@ -19,21 +19,21 @@ PARTS = np.array([[0, 2], [2, 4], [4, 5], [5, 6], [6, 8]])
 
 FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 
-REPEATS = 6.0
-"""After so many typical times between new samples one that repeats itself is frozen."""
+FROZEN_INTERVALS = 6.0
+"""Typical intervals between new samples after which a repeated sample counts as frozen."""
 
 MASKED_S = 0.5
 MASKED_SAMPLES = 2.5
-"""After an impossible number the sensor is left out for so long, or for so many samples."""
+"""Exclusion of a sensor after an impossible number: time, and samples if that is longer."""
 
-MOVES = 0.1
-"""A boat moves above this share of its nominal speed."""
+MOVING_SHARE = 0.1
+"""Share of the nominal speed above which the boat counts as moving."""
 
 TURNED_SD = 3.0
 """Standard deviations by which a heading must have changed for a compass to show it."""
 
 REPEAT_USED_S = 1.0
-"""A sample that repeats the last one is used once in so long: a resting boat has no other."""
+"""Time between uses of a sample that repeats the last one, as that of a resting boat."""
 
 RENEWAL_MAX_S = 5.0
 
@@ -74,7 +74,7 @@ def _shows_motion(part, memory, given):
         return memory.turned > TURNED_SD * math.sqrt(given.bank.compass_var)
     if part <= VELOCITY and speed * memory.unchanged[part] < math.sqrt(given.bank.fix_var):
         return False
-    return speed > (MOVES if part <= VELOCITY else 2.0 * MOVES) * given.drives.speed
+    return speed > (MOVING_SHARE if part <= VELOCITY else 2.0 * MOVING_SHARE) * given.drives.speed
 
 
 @inlined
@@ -100,7 +100,7 @@ def find_frozen(dt, memory, given):
             same = same and z[j] == memory.last[j]
         typical = max(memory.renewal[part], bank.row)
         if same:
-            long = memory.unchanged[part] > (REPEATS - 0.5) * typical
+            long = memory.unchanged[part] > (FROZEN_INTERVALS - 0.5) * typical
             memory.frozen[part] = 1.0 if long and _shows_motion(part, memory, given) else 0.0
             if part <= COMPASS and memory.unused[part] < max(REPEAT_USED_S, 2.0 * typical):
                 for j in range(first, end):

@@ -14,7 +14,7 @@ __all__ = ["sense", "sense_row"]
 
 
 @inlined
-def _take_motion(t, dt, z, state, ready, i, motions, given, work):
+def _advance_motion(t, dt, z, state, ready, i, motions, given, work):
     """Take roll, pitch and heave from a row; without memory nothing of it is compiled."""
     if motions is None:
         return
@@ -33,7 +33,7 @@ def sense(t, dt, z, cmd, state, ready, health, given, i, motion, used, trusted):
     z, cmd : ndarray, shapes (19,), (4,)
         Measurements, of which is written how an upright boat would have them; and commands.
     state : ndarray, shape (6,)
-        What the predictor said of the boat after the row before.
+        The predictor's estimate after the row before.
     ready : bool
         Whether that means anything.
     health, given : record
@@ -45,7 +45,7 @@ def sense(t, dt, z, cmd, state, ready, health, given, i, motion, used, trusted):
         Written: the row without impossible numbers and sensors at fault, which are NaN; and its
         command, or the last one that was trusted.
     """
-    _take_motion(t, dt, z, state, ready, i, motion[0], motion[1], motion[2])
+    _advance_motion(t, dt, z, state, ready, i, motion[0], motion[1], motion[2])
     check_sensors(dt, z, cmd, state, ready, health, given, used)
     for k in range(len(COMMANDS)):
         trusted[k] = health.drives.trusted[k] if health.commands_doubted > 0.0 else cmd[k]

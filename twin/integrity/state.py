@@ -31,7 +31,7 @@ SENSORS = ("gps", "compass", "gyro", "accelerometers", "commands")
 GPS, COMPASS, GYRO, ACCELEROMETERS, COMMANDS = range(len(SENSORS))
 
 STATUSES = ("absent", "ok", "doubtful", "excluded")
-"""What is said of a sensor: no samples; used; used, but at odds with others; not used."""
+"""Status of a sensor: no samples; used; used, but inconsistent with others; not used."""
 
 ABSENT, OK, DOUBTFUL, EXCLUDED = range(len(STATUSES))
 
@@ -51,7 +51,7 @@ REASONS = (
     "do not reach the right thruster",
     "do not explain how the boat moves",
 )
-"""Why, in words that follow the sensor's name."""
+"""Reasons of a status, in words that follow the sensor's name."""
 
 NO_REASON, IMPOSSIBLE, FROZEN, CONTRADICTS, VELOCITY_OUT, SILENT, OLD, HYPOTHESIS_REASON = range(8)
 """Places of reasons; from the last on, those of the hypotheses of commands but the first."""
@@ -125,7 +125,7 @@ INTEGRITY_SETTINGS = np.dtype(
 """What the checks are given of a boat and its instruments."""
 
 NEVER_S = 1e9
-"""Age of what has never come."""
+"""Age of a sample that has never come."""
 
 REFERENCE_HEIGHT_M = 10.0
 PROFILE = 0.11

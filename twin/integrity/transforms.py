@@ -22,9 +22,9 @@ from scipy.optimize import minimize_scalar
 from twin.channels import COMMANDS
 from twin.integrity.evidence import (
     BY_COMMANDS,
-    FLOOR,
     GYRO_ZERO_RADPS,
     RAW_HEADING,
+    RHO_MIN,
     Evidence,
     Signals,
     gain,
@@ -40,22 +40,22 @@ __all__ = ["Hypothesis", "Trial", "explain", "measured", "unseen"]
 Undo = Callable[[Signals, float], Signals]
 """Returns signals without a fault, of a size."""
 
-ENOUGH_GAIN = 15.0
-"""Log-likelihood, beyond what a fault costs, from which on it is one."""
+GAIN_MIN = 15.0
+"""Gain of log-likelihood, beyond the cost of a fault, above which it is reported."""
 
-COST = 5.0
-"""Of each number that is fitted, and each further mistake that a fault is made of; a rival that
-explains a log so nearly as well is named beside the best."""
+PARAMETER_COST = 5.0
+"""Cost in log-likelihood of each fitted number and of each further mistake of a fault. A rival
+within this cost of the best fault is named beside it."""
 
-RARE_COST = 25.0
-"""Of a fault that explains what others leave: of one side, for thrusts are seldom even, and of a
-velocity that keeps its size only."""
+RARE_FAULT_COST = 25.0
+"""Cost of rare faults: of one shaft, as thrusts are seldom equal, and of a velocity of which only
+the size is right."""
 
-POINTS = 13
-"""Of a parameter, so many values are tried first."""
+SCAN_POINTS = 13
+"""Number of values of a parameter on the first grid."""
 
-LIKELY = 0.5
-"""What is left must shrink to this share in one comparison."""
+RHO_SHARE_MAX = 0.5
+"""Share to which a fault must reduce the rho of one comparison."""
 
 COMPASS = ("compass_rad",)
 HEIGHT = ("gps_z_m",)
@@ -73,7 +73,7 @@ class Scan(NamedTuple):
 
 
 def _between(low: float, high: float, least: float) -> Scan:
-    return Scan(0.0, least, np.linspace(low, high, POINTS).tolist())
+    return Scan(0.0, least, np.linspace(low, high, SCAN_POINTS).tolist())
 
 
 def _angles(least_degrees: float) -> Scan:
@@ -122,7 +122,7 @@ def _shifted(name: str, sign: float = 1.0) -> Undo:
     return lambda s, a: s.having((name,), s.stacked(name) + sign * a)
 
 
-def _turned(*pairs: tuple[str, str]) -> Undo:
+def _rotated(*pairs: tuple[str, str]) -> Undo:
     """Return what turns pairs of columns by an angle, from the first to the second."""
 
     def undo(s: Signals, angle: float) -> Signals:
@@ -135,7 +135,7 @@ def _turned(*pairs: tuple[str, str]) -> Undo:
 
 
 def _late(*names: str) -> Undo:
-    """Return what gives columns as if taken so many seconds later: that undoes a delay."""
+    """Return the transform that undoes a delay of columns by their size, s."""
 
     def undo(s: Signals, seconds: float) -> Signals:
         at = s.t + seconds
@@ -205,7 +205,7 @@ def _mirrored(sensor: str, *vectors: tuple[str, ...]) -> Iterator[Hypothesis]:
         mistakes = len(vectors) + bool(swapped) + max(len(wrong), 1) - 2
         yield Hypothesis(
             "axes" if swapped else "sign", sensor, said, remedy, names, _map(names, matrix),
-            cost=COST * mistakes,
+            cost=PARAMETER_COST * mistakes,
         )  # fmt: skip
 
 
@@ -215,13 +215,13 @@ def _opposite(
     """Return columns that all have the wrong sign; the first counts from an angle."""
     plus = [angle, *[0.0] * (len(names) - 1)]
     remedy = f'{MINUS}, or frame = "enu" for all that runs from east'
-    undo, cost = _map(names, -np.eye(len(names)), plus), COST * (len(names) - 1)
+    undo, cost = _map(names, -np.eye(len(names)), plus), PARAMETER_COST * (len(names) - 1)
     return Hypothesis(code, sensor, what, remedy, names, undo, cost=cost)
 
 
 QUARTER = 0.5 * math.pi
 ASKEW = _angles(10.0)
-SCALES = Scan(1.0, 0.09, np.geomspace(0.1, 10.0, POINTS).tolist())
+SCALES = Scan(1.0, 0.09, np.geomspace(0.1, 10.0, SCAN_POINTS).tolist())
 ZERO = _between(-0.3, 0.3, GYRO_ZERO_RADPS)
 DELAY = _between(0.0, 3.0, 0.2)
 STAMPS = "look for a filter in the sensor; stamp samples when they are taken"
@@ -260,22 +260,22 @@ TABLE: tuple[Hypothesis, ...] = (
                (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY),
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
-               _of_way, cost=RARE_COST, guess=True),
+               _of_way, cost=RARE_FAULT_COST, guess=True),
     Hypothesis("scale", "velocity", "the fixes go {size} times as fast as the velocity over ground",
               "check the units of speed, position and time", VELOCITY, _scaled(*VELOCITY),
               SCALES, error_from=0.0),
     Hypothesis("offset", "velocity", "the velocity points {size} degrees off the track of the "
                "fixes", f"{PLUS}: courses count from true north, clockwise", VELOCITY,
-              _turned(VELOCITY), ASKEW, QUARTER),
+              _rotated(VELOCITY), ASKEW, QUARTER),
     Hypothesis("unit", "accelerometers", f"{FORCES[2]} lacks gravity",
                f"{PLUS.format(value=-9.81)}: give the specific force as it is measured",
                FORCES[2:], _map(FORCES[2:], [[1.0]], -GRAVITY)),
     Hypothesis("axes", "accelerometers", f"{', '.join(FORCES[:2])}: turned by {{size}} degrees",
-              "turn them back in the mapping", FORCES[:2], _turned(FORCES[:2]), ASKEW,
+              "turn them back in the mapping", FORCES[:2], _rotated(FORCES[:2]), ASKEW,
               error_from=0.0),
     *(Hypothesis("axes", "imu", f"the IMU is turned by {{size}} degrees about its {axis} axis, or "
                 "the boat lies so", f"imu_mounting = [{angles}] {STATED}", (*GYROS, *FORCES),
-                _turned((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
+                _rotated((GYROS[a], GYROS[b]), (FORCES[a], FORCES[b])), _angles(4.0))
       for axis, a, b, angles in (("second", 2, 0, "0.0, {value}, 0.0"),
                                  ("first", 1, 2, "{value}, 0.0, 0.0"),
                                  ("third", 0, 1, "0.0, 0.0, {value}"))),
@@ -299,14 +299,14 @@ TABLE: tuple[Hypothesis, ...] = (
     Hypothesis("sign", "steering", "steering to starboard turns to port", MINUS,
                STEERING, _map(STEERING, -np.eye(2))),
     *(Hypothesis(code, side, what, "check this thruster, or its column in the mapping", SHAFTS,
-                 _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_COST)
+                 _map(SHAFTS, np.diag(factors)), None, code == "sign", RARE_FAULT_COST)
       for code, side, what, factors in (
         ("sign", "left", "n_left_rps has the wrong sign", (-1.0, 1.0)),
         ("sign", "right", "n_right_rps has the wrong sign", (1.0, -1.0)),
         ("sides", "left", "the left unit hardly turns the boat", (0.0, 1.0)),
         ("sides", "right", "the right unit hardly turns the boat", (1.0, 0.0)))),
 )  # fmt: skip
-"""All faults that are looked for."""
+"""All hypotheses of faults."""
 
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
@@ -335,29 +335,29 @@ class Trial(NamedTuple):
 
 
 def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
-    """Return what a hypothesis explains; of a number, commands know little."""
+    """Return the gain of log-likelihood by a hypothesis; a fitted number gains none by commands."""
     known = () if each.scan is None else BY_COMMANDS
     return sum(gain(before[name], after[name]) for name in before if name not in known)
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
-    """Return the score of a hypothesis with a number that explains all that it touches."""
+    """Return the largest possible score of a hypothesis: each rho that it changes is RHO_MIN."""
     known = [one for name, one in base.items() if one and name not in BY_COMMANDS]
     touched = [one for one in known if not one.uses.isdisjoint(each.changed)]
-    most = sum(0.5 * one.samples * math.log(one.rho / FLOOR) for one in touched)
-    return most - each.cost - COST
+    most = sum(0.5 * one.samples * math.log(one.rho / RHO_MIN) for one in touched)
+    return most - each.cost - PARAMETER_COST
 
 
 def _explains(before: Evidence, after: Evidence) -> bool:
-    """Return whether some comparison is made much better, and leaves little."""
+    """Return whether a hypothesis reduces the rho of some comparison enough."""
     return any(
-        one is not None and other is not None and other.rho < LIKELY * min(one.rho, 1.0)
+        one is not None and other is not None and other.rho < RHO_SHARE_MAX * min(one.rho, 1.0)
         for one, other in ((before[name], after[name]) for name in before)
     )
 
 
 def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
-    """Return what a hypothesis explains, its number where that is most."""
+    """Return the trial of a hypothesis at the size of the highest score."""
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)
@@ -366,7 +366,7 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
 
     size, sd, cost = math.nan, math.nan, each.cost
     if each.scan is not None:
-        cost += COST
+        cost += PARAMETER_COST
         values = np.array(each.scan.values)
         scores = [at(float(value))[0] for value in values]
         k = int(np.argmax(scores))
@@ -394,7 +394,7 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
     table, found, undone = hypotheses(s), list[Finding](), list[Trial]()
     while True:
         trials = [_try(s, base, each) for each in table if each.scan is None]
-        most = max([ENOUGH_GAIN, *(t.score for t in trials if _explains(base, t.evidence))])
+        most = max([GAIN_MIN, *(t.score for t in trials if _explains(base, t.evidence))])
         # what could explain no more than a fault without a number is not tried
         trials += [
             _try(s, base, each)
@@ -402,15 +402,13 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
             if each.scan is not None and _at_most(base, each) > most
         ]
         likely = [
-            t
-            for t in trials
-            if t.score > ENOUGH_GAIN and _counts(t) and _explains(base, t.evidence)
+            t for t in trials if t.score > GAIN_MIN and _counts(t) and _explains(base, t.evidence)
         ]
         if not likely:
             return found, s, undone
         # what a guess takes from other columns agrees with them in any case
         best = max(likely, key=lambda trial: (not trial.hypothesis.guess, trial.score))
-        near = [t for t in likely if t.score > best.score - COST and t is not best]
+        near = [t for t in likely if t.score > best.score - PARAMETER_COST and t is not best]
         found.append(_finding(best, near, s.latency))
         undone.append(best)
         # what is guessed cannot be held against others
@@ -454,7 +452,7 @@ def unseen(s: Signals, base: Evidence) -> list[Finding]:
             continue
         after = [log_likelihood(each.undo(s, size), each.changed, base) for size in sizes]
         moves = np.nanstd(np.abs(s.stacked(*each.changed)), axis=1).any()
-        if moves and max(_total(base, one, each) for one in after) > -ENOUGH_GAIN:
+        if moves and max(_total(base, one, each) for one in after) > -GAIN_MIN:
             found.setdefault(each.sensor, []).append(each.words(each.what, max(sizes)))
     remedy = "record turns to both sides, legs in several directions and changes of thrust"
     said = "this log does not tell whether"

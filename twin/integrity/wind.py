@@ -16,16 +16,16 @@ SMOOTHING_S = 2.0
 """Time constant of the wind that the model takes: noise and the swaying mast average out."""
 
 GUST_S = 10.0
-"""While samples are missing, the wind goes back to its mean within so long."""
+"""Time constant with which the wind returns to its mean without samples."""
 
 SPIKE_MPS = 10.0
-"""Samples so far from the last ones are left out, unless it lasts for longer than noise."""
+"""Change from the last samples above which a sample is refused, unless the change lasts."""
 
 STUCK_S = 10.0
-"""An anemometer is stuck that says the same for so long."""
+"""Time of equal samples after which an anemometer counts as stuck."""
 
-TURNS = 1e3
-"""A direction is below, rad."""
+ANGLE_MAX_RAD = 1e3
+"""Bound of a direction."""
 
 
 @inlined
@@ -40,7 +40,7 @@ def _is_usable(dt, speed, angle, memory):
     """Take a sample of the apparent wind as it is; return whether it says something new."""
     wind = memory.wind
     wind.silent += dt
-    if not (0.0 <= speed < WIND_LIMIT and abs(angle) < TURNS):  # NaN: none
+    if not (0.0 <= speed < WIND_LIMIT and abs(angle) < ANGLE_MAX_RAD):  # NaN: none
         if wind.silent > SILENT_S:
             _set(memory, ABSENT, NO_REASON)
         return False

@@ -11,7 +11,7 @@ __all__ = [
     "follow_all",
 ]
 
-ARRIVED = 1e-7
+ARRIVED_SHARE = 1e-7
 """Part of its target within which an actuator counts as there."""
 
 
@@ -29,7 +29,7 @@ def follow(value, target, lag, rate, h):
 def _follow(value, target, lag, rate, h, stay):
     """Do as :func:`follow`, with exp(-h / lag) at hand."""
     gap = target - value
-    if abs(gap) <= ARRIVED * abs(target):
+    if abs(gap) <= ARRIVED_SHARE * abs(target):
         return target
     reach = rate * lag  # Within this gap the lag, not the rate, sets the speed.
     if abs(gap) > reach:

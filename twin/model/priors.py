@@ -39,8 +39,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-FARTHEST = 100.0
-"""Standard deviations of the population beyond which no boat's own mean lies."""
+MEAN_DEVIATION_MAX_SD = 100.0
+"""Largest deviation of a boat's own mean, in standard deviations of the population."""
 
 _REMEDY = "make it again with usv-twin identify --save-prior, or leave it out"
 
@@ -59,9 +59,9 @@ SPREAD_MIN = 1e-3
 
 
 SCALE_SD = math.log(3.0)
-SCALE_MOST = 10.0
-"""Of the drag of two thrusters' boats: standard deviation of its logarithm, and the most of it.
-Drag over displacement of such boats at their typical speeds goes from .01 to .1 and more."""
+SCALE_MAX = 10.0
+"""Standard deviation of the logarithm of the drag of boats with two thrusters, and largest factor
+of it: their drag over displacement at typical speeds is from .01 to .1 and more."""
 
 _NO_DRAG = ("X_vr", "Y_ur", "N_uv", "X_w", "Y_w", "N_w", *ENVIRONMENT)
 """Parameters that do not grow with drag: those of mass, wind and sea."""
@@ -179,12 +179,12 @@ def scaled_prior(
     Returns
     -------
     factor : float
-        Of drag, from 1 / :data:`SCALE_MOST` to :data:`SCALE_MOST`.
+        Of drag, from 1 / :data:`SCALE_MAX` to :data:`SCALE_MAX`.
     mean, sd : ndarray, shape (p,)
         The prior of such a boat.
     """
     grows = np.array([name not in _NO_DRAG for name in names])
-    factors = np.geomspace(1.0 / SCALE_MOST, SCALE_MOST, 121)
+    factors = np.geomspace(1.0 / SCALE_MAX, SCALE_MAX, 121)
     known = grows & (sd > 0.0)
     far = (found[known] / factors[:, None] - mean[known]) / sd[known]
     factor = float(factors[np.argmin((far**2).sum(axis=1) + (np.log(factors) / SCALE_SD) ** 2)])
@@ -193,7 +193,7 @@ def scaled_prior(
 
 
 def takes(structure: Structure, particulars: Particulars) -> bool:
-    """Return whether a boat has a prior of its own, of this structure.
+    """Return whether a boat has a prior of its own for this structure.
 
     PriorError: a prior of no known model, or with parameters that its model does not have.
     """
@@ -234,12 +234,12 @@ def boat_or(
     mean, covariance = population[0].copy(), population[1].copy()
     bound = population[1][np.ix_(at, at)]
     mean[at] = np.array(prior.mean)[own]
-    far = np.abs(mean[at] - population[0][at]) > FARTHEST * np.sqrt(np.diag(bound))
+    far = np.abs(mean[at] - population[0][at]) > MEAN_DEVIATION_MAX_SD * np.sqrt(np.diag(bound))
     if far.any():
         name = names[int(np.argmax(far))]
         raise PriorError(
             f"the prior of {prior.boat!r} has {name} = {prior.mean[own[int(np.argmax(far))]]:g}, "
-            f"over {FARTHEST:g} standard deviations from boats like this: {_REMEDY}"
+            f"over {MEAN_DEVIATION_MAX_SD:g} standard deviations from boats like this: {_REMEDY}"
         )
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[np.ix_(at, at)] = limited(np.array(prior.covariance)[np.ix_(own, own)], bound)

@@ -3,7 +3,7 @@
 The state is s = (x, y, psi, u, v, r): m north and east, rad clockwise, m/s forward and to
 starboard over the ground, rad/s. The actuators are act = (nL, nR, dL, dR): rev/s, rad. A
 positive drive angle turns to starboard. Accelerations are linear in the parameters xi; which
-terms they have stands in :mod:`twin.model.structure`.
+terms they have is defined in :mod:`twin.model.structure`.
 
     x' = u cos(psi) - v sin(psi),  y' = u sin(psi) + v cos(psi),  psi' = r
 
@@ -66,15 +66,15 @@ GRID = 0.25
 LONG_STEP = 0.5
 """Rows as long as this, s, are one step of the integration where the model is slow enough."""
 
-SLOW_ENOUGH = 1.3
-"""Rate of the fastest motion times a step, at most: where it is more, steps are shorter."""
+RATE_STEP_MAX = 1.3
+"""Largest product of the fastest motion's rate and a step; else steps are shorter."""
 
-SHORTEST = 16.0
-"""So many steps of the integration are made in a second at most."""
+STEPS_PER_S_MAX = 16.0
+"""Most steps of the integration per second."""
 
-FASTER = 1.25
+SPEED_RATIO = 1.25
 START_SPEED = 0.1
-"""Steps are chosen again where the boat is so much faster: share, and nominal speeds."""
+"""Increase of the speed after which steps are chosen again: a ratio, and nominal speeds."""
 
 HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
@@ -303,10 +303,10 @@ def _steps_of(dt, motion, wind, hull, terms):
     """Return how many steps of the integration are one row."""
     few = max(math.ceil(dt / LONG_STEP - 1e-9), 1)
     many = max(math.ceil(dt / GRID - 1e-9), 1)
-    needed = _fastest_rate(motion, wind, hull, terms) * dt / SLOW_ENOUGH
+    needed = _fastest_rate(motion, wind, hull, terms) * dt / RATE_STEP_MAX
     if needed <= few:
         return few
-    return max(many, math.ceil(min(needed, SHORTEST * dt)))
+    return max(many, math.ceil(min(needed, STEPS_PER_S_MAX * dt)))
 
 
 @inlined
@@ -383,7 +383,7 @@ def rollout(start, plan, dt, config, waves, out, work):
         if speed > chosen_at:
             steps = _steps_of(dt, first, wind, hull, terms[2])
             most = max(most, steps)
-            chosen_at = FASTER * speed + START_SPEED * nominal_speed(hull)
+            chosen_at = SPEED_RATIO * speed + START_SPEED * nominal_speed(hull)
         h = dt / steps
         act, command = out.act[row], plan[row]
         for k in range(N_ACT):

@@ -42,7 +42,7 @@ Array = NDArray[Any]
 
 
 Forecaster = Callable[[Array, float], Array]
-"""Predicts states (K, 6) under a plan (K, 4) with rows so many seconds apart."""
+"""Predicts states (K, 6) under a plan (K, 4) with rows of a given step, s."""
 
 
 class ForecastError(UsvTwinError):

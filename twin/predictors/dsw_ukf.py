@@ -32,12 +32,12 @@ from twin.checkpoint import (
     load_part,
     with_prefix,
 )
-from twin.filters.late_fusion import LOST, LateFusion
-from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.late_fusion import DIVERGED_SD, LateFusion
+from twin.filters.navigation_ekf import GAP_MAX_S
 from twin.filters.navigation_state import sample_limits
 from twin.filters.ukf import measurement_update
 from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy, adapt_noise
-from twin.identification.filter_settings import STUDY_STEP, FilterSettings
+from twin.identification.filter_settings import STUDY_STEP_S, FilterSettings
 from twin.identification.joint_ukf import (
     accumulate_information,
     advance,
@@ -124,7 +124,7 @@ def paper_settings(
     variances = _vector_of("p0", p0, N_STATES + p, positive=True)
     return FilterSettings(
         structure=structure,
-        q=_vector_of("q", q, N_STATES, positive=True) / STUDY_STEP,
+        q=_vector_of("q", q, N_STATES, positive=True) / STUDY_STEP_S,
         r=_vector_of("r", r, N_STATES, positive=True),
         p0=variances[:N_STATES],
         q_xi=np.zeros(p),
@@ -212,7 +212,7 @@ def _start_at(measured, state, config):
 
 
 @kernel
-def _take_motion(measured, dt, cmd, joint):
+def _use_measured_motion(measured, dt, cmd, joint):
     """Take a measured state (6,) without learning from it."""
     state = filter_state(joint.memory, joint.model)
     config = filter_config(joint.config, joint.model)
@@ -433,7 +433,7 @@ class DSWPredictor(ModelPredictor):
         z = np.where(np.abs(z) < self._sample_limits, z, np.nan)
         before = self._ring.cmds[(self._count - 1) % self._size]
         cmd = np.where(np.abs(cmd) < self._command_limits, cmd, before)
-        s = self.fusion.update(min(dt, GAP_MAX), z)
+        s = self.fusion.update(min(dt, GAP_MAX_S), z)
         ukf = self.ukf
         if not self.fusion.ready or self._count == 0:
             unit = ukf.settings.n_unit
@@ -449,7 +449,7 @@ class DSWPredictor(ModelPredictor):
         if self._held or self._is_lost(s):
             # no row before this one is used again
             self._sound = 0
-            _take_motion(s, dt, cmd, self._joint)
+            _use_measured_motion(s, dt, cmd, self._joint)
             return
         self._sound += 1
         self._run(row, 1)
@@ -470,7 +470,7 @@ class DSWPredictor(ModelPredictor):
         error = measured - self.ukf.x[:N_STATES]
         error[PSI] = wrap(error[PSI])
         variance = self.ukf.P.diagonal()[:N_STATES] + self.r
-        return bool((error**2 > LOST**2 * variance).any())
+        return bool((error**2 > DIVERGED_SD**2 * variance).any())
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias added, positive definite however large."""
@@ -508,7 +508,7 @@ class DSWPredictor(ModelPredictor):
             state = control = error**2 - expected
         start, gain = ukf.settings, self.adapt_gain
         if "Q" in self.adapts:
-            q, start_q = self.q * STUDY_STEP, start.q * STUDY_STEP
-            self.q[:] = adapt_noise(q, state, gain, start_q, self.adapt) / STUDY_STEP
+            q, start_q = self.q * STUDY_STEP_S, start.q * STUDY_STEP_S
+            self.q[:] = adapt_noise(q, state, gain, start_q, self.adapt) / STUDY_STEP_S
         if "R" in self.adapts:
             self.r[:] = adapt_noise(self.r, control, gain, start.r, self.adapt)

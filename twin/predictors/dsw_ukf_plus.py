@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.linalg import cholesky
-from twin.identification.data_weight import TrustSelector
+from twin.identification.data_weight import DataWeightSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability
 from twin.identification.joint_ukf import JointUKF
@@ -68,8 +68,8 @@ __all__ = [
 
 Array = NDArray[Any]
 
-UNHURRIED = 1.5
-"""Time scale, in units of the study boat's, from which on segments are too correlated."""
+CORRELATED_TIME_SCALE = 1.5
+"""Time scale, in units of the study boat's, above which correlated segments count less."""
 
 DRAWS_MIN = 20
 DRAWS_MAX = 10_000
@@ -93,13 +93,13 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
+        scale=0.15 * min(1.0, CORRELATED_TIME_SCALE / particulars.time_scale),
         knee=0.1,
     )
 
 
 def joint_candidate(particulars: Particulars) -> int:
-    """Return what the joint filter's parameters are to the refit: NONE or FIRST.
+    """Return how the refit uses the joint filter's parameters: NONE or FIRST.
 
     What disturbs some boats adds up in their motion, as gusts and model errors do. There the joint
     filter's process noise is the right likelihood. So it is for ships in tanks and on ponds, and
@@ -185,7 +185,7 @@ class PlusPredictor(UKFPredictor):
         self.rows = np.zeros((span + steps + 2 * self.spacing, COLUMNS))
         schedule = period, relinearised, self.spacing, span, float(joint_candidate(particulars))
         self.segments = Segments(structure.terms, mean, cov, self.refit, capacity, schedule)
-        self.selector = TrustSelector(self.segments)
+        self.selector = DataWeightSelector(self.segments)
         self._window = np.zeros(WINDOW.itemsize // 8)
         rng = np.random.default_rng(seed)
         # of parameters, starts and waves; the first path of the waves is the mean
@@ -260,7 +260,7 @@ class PlusPredictor(UKFPredictor):
         return ParametersInUse(own.name, own.uses_prior, own.best_refit())
 
     def identifiability(self) -> Identifiability:
-        """Return what the data so far say of the parameters: nothing while the prior is in use."""
+        """Return the identifiability of the parameters; none is informed under the prior."""
         seen = super().identifiability()
         if not self.selector.uses_prior:
             return seen

@@ -1,4 +1,4 @@
-"""The forecast of every predictor with a model, of one boat or many: a mean, and how sure it is.
+"""The forecast of every predictor with a model, of one boat or many: mean and covariance.
 
 The mean is a rollout of the model from the filter's state; where waves are known, from the
 low-frequency velocities, and the waves of the moment carry the boat along. Its covariance is that
@@ -23,7 +23,7 @@ from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.interval_scale import factor_ahead
 from twin.identification.joint_ukf import (
-    DOUBTED,
+    DOUBTED_VELOCITY_SD,
     clip_velocities,
     filter_config,
     filter_state,
@@ -75,11 +75,11 @@ SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way, tried in turn until a boat could sail so: from the prior's parameters to the
 fitted ones, and from those of the mean to those of a draw."""
 
-WAVE_GAIN = 0.25
-"""The gain of the predicted waves, 1/s: half of them carry the boat to and fro, and pass."""
+WAVE_GAIN_PER_S = 0.25
+"""Gain with which predicted waves enter the velocities."""
 
-START_WAVE = 0.3
-"""Error of the observer's velocity, in standard deviations of the waves."""
+START_WAVE_SD = 0.3
+"""Standard deviation of the observer's velocity, in standard deviations of the waves."""
 
 _ROLLOUT = rollout_size()
 
@@ -230,13 +230,13 @@ def drive_share(plan, n_nominal, driven):
 
 @inlined
 def plausible_speed(k, fastest, nominal, share):
-    """Return the largest of a velocity that is near what was ever seen, or ``share`` nominal."""
+    """Return the plausible bound of a velocity, by the fastest seen and ``share`` nominal ones."""
     return max(1.5 * fastest[k], share * nominal[k])
 
 
 @inlined
 def is_plausible(states, fastest, nominal, share):
-    """Return whether velocities stay near what was ever seen, or ``share`` times nominal."""
+    """Return whether all velocities are within :func:`plausible_speed`."""
     plausible = True
     for row in range(states.shape[0]):
         for k in range(3):
@@ -247,7 +247,7 @@ def is_plausible(states, fastest, nominal, share):
 
 @inlined
 def _limit_deviation(cov, i, most):
-    """Scale one deviation of a covariance down, in place, to at most so much."""
+    """Limit one standard deviation of a covariance, in place."""
     factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
     if factor < 1.0:
         for k in range(cov.shape[0]):
@@ -309,7 +309,7 @@ def forecast_mean(plan, dt, begin, given, out):
     """
     scale_plan(plan, given.n_unit, out.plan)
     start = RolloutStart(begin.start, out.params, begin.act, begin.wind)
-    waves, paths = Waves(begin.means, WAVE_GAIN), Paths(out.states, out.act)
+    waves, paths = Waves(begin.means, WAVE_GAIN_PER_S), Paths(out.states, out.act)
     steps, share = 1, drive_share(out.plan, given.n_nominal, given.driven)
     for part in SHRINKAGE:
         for k in range(begin.params.shape[0]):
@@ -380,7 +380,7 @@ def covariance_ahead(plan, dt, sources, config, out, work):
 
 @kernel
 def limit_covariances(covs, start_cov, dt, envelope):
-    """Scale down, in place, deviations that no boat can have by then.
+    """Limit, in place, standard deviations to those of a boat within its envelope.
 
     ``covs`` (K, 6, 6) are at the ends of rows dt (s) apart, after ``start_cov``, whose diagonal
     counts. ``envelope`` (3,) is the largest size of u, v (m/s) and r (rad/s).
@@ -438,9 +438,9 @@ def draw_ahead(mean, mean_dt, sources, config, normal, out):
         for k in range(N_STATES):
             small[i, k] = P_nav[i, k]
         if i >= 3:
-            small[i, i] += (START_WAVE * window.wave_sd[i - 3]) ** 2
+            small[i, i] += (START_WAVE_SD * window.wave_sd[i - 3]) ** 2
             if nav.commands_doubted > 0.0:
-                small[i, i] += (DOUBTED * given.envelope[i - 3]) ** 2
+                small[i, i] += (DOUBTED_VELOCITY_SD * given.envelope[i - 3]) ** 2
     cholesky(small, small, out.line)
     out.shocks[:] = 0.0
     for d in range(D + 1):

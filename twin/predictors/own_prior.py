@@ -19,7 +19,7 @@ __all__ = [
 
 
 def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
-    """Return what the parameters of several runs of one boat say of its next run.
+    """Return the prior of a boat's next run from the parameters of several runs.
 
     See :func:`twin.boat_prior.combine`.
 

@@ -14,10 +14,10 @@ from twin.identification.data_weight import (
     JOINT,
     NOTED,
     SCORED,
+    keep_parameters,
     linearised_at,
-    note,
     score,
-    select_trust,
+    select_data_weight,
     selector_state,
 )
 from twin.identification.interval_scale import compare_segment, record_work
@@ -83,15 +83,14 @@ __all__ = [
     "update_plus",
 ]
 
-SPEED_GOOD = 0.25
-HEADING_GOOD = 0.1
-GAP_GOOD = 2.5
-"""Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
-greatest age (s) of the row before it."""
+SPEED_SD_MAX = 0.25
+HEADING_SD_MAX_RAD = 0.1
+ROW_AGE_MAX_S = 2.5
+"""Largest standard deviations of velocity (nominal speeds) and heading of a fitted row, and
+greatest age of the row before it."""
 
-WAVE_SPAN = 60.0
-"""Waves are predicted and drawn from the residuals of this many seconds. Earlier ones also hold
-what was not yet learned."""
+WAVE_SPAN_S = 60.0
+"""Window of the residuals from which waves are predicted and drawn."""
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
@@ -197,8 +196,8 @@ def _record(t, dt, good, nav, window, state, rows):
 
 
 @kernel
-def _take_segments(rows, window, selector, segments, nav, config, model, work):
-    """Take the segments that are over into the window; return how many starts were tried."""
+def _add_segments(rows, window, selector, segments, nav, config, model, work):
+    """Add the segments that are complete; return the number of starts that were tried."""
     newest, tried = last_row(window), 0
     # older rows have been overwritten, nearly all of them after a long gap
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
@@ -217,7 +216,7 @@ def _take_segments(rows, window, selector, segments, nav, config, model, work):
     return tried
 
 
-_WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
+_WAVE_ROWS = round(WAVE_SPAN_S / GRID) + 1
 
 
 class WavesWork(NamedTuple):
@@ -246,7 +245,7 @@ WAVE_WORK = 5 * _WAVE_ROWS + sector_work_size(_WAVE_ROWS)
 def _fit_waves(rows, window, config, work):
     """Fit autoregressions to the last residuals: by sector for the draws, and of the moment."""
     newest, count = last_row(window), 0
-    first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
+    first = max(newest - min(round(WAVE_SPAN_S / GRID), config.span), 0)
     N = newest + 1 - first
     scratch = _waves_work(work, N)
     w, psi, good = scratch.w, scratch.psi, scratch.good
@@ -295,7 +294,7 @@ def _refit(memory, config, work):
     segments = segment_state(memory.segments, p, given.capacity)
     scratch = refit_work(work, p, given.capacity)
     nav = as_record(memory.nav, NAVIGATION)
-    _take_segments(rows, window, selector, segments, nav, given, model, scratch)
+    _add_segments(rows, window, selector, segments, nav, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
@@ -303,13 +302,13 @@ def _refit(memory, config, work):
     for k in range(p):
         selector.params[JOINT, k] = joint.x[N_STATES + k]
     for start in range(int(window.next_start), newest + 1, given.spacing):
-        note(start, given.spacing, selector)
+        keep_parameters(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
         return
     at = selector.params[linearised_at(selector)]
     relinearise(given.relinearised, rows, at, segments, given, model, scratch)
     tight = filter_state(memory.filter, model)
-    select_trust(newest, selector, segments, given, model, scratch)
+    select_data_weight(newest, selector, segments, given, model, scratch)
     if int(selector.count[CHOSEN]) == JOINT:
         for i in range(p):
             for k in range(p):
@@ -348,8 +347,8 @@ def _identify(outage, dt, cmd, nav, wind, memory, config, scratch):
 
 
 @inlined
-def _take_mean(state, selector, memory, model):
-    """Go on with the mean of the joint filter's parameters and those of the first refit.
+def _average_parameters(state, selector, memory, model):
+    """Use the mean of the joint filter's parameters and those of the first refit.
 
     Without GPS the errors of a boat that no population describes add up, and those of the two
     differ. It is no surer than the joint filter was.
@@ -398,15 +397,15 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             _identify(outage, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
-    if given.rest_push < 1.0 and nav.gps_age > GAP_GOOD and outage - dt <= GAP_GOOD:
+    if given.rest_push < 1.0 and nav.gps_age > ROW_AGE_MAX_S and outage - dt <= ROW_AGE_MAX_S:
         selector = selector_state(memory.selector, model.which.shape[1], refit.steps, refit.spacing)
         if selector.count[SCORED] >= SEGMENTS_MIN and int(selector.count[CHOSEN]) == JOINT:
-            _take_mean(state, selector, memory, model)
-    fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
-    sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    trusted = nav.gps_age <= GAP_GOOD and not is_learning_suspended(nav)
-    good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
+            _average_parameters(state, selector, memory, model)
+    fast = (SPEED_SD_MAX * 0.25 * given.envelope[0]) ** 2
+    sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_SD_MAX_RAD**2
+    trusted = nav.gps_age <= ROW_AGE_MAX_S and not is_learning_suspended(nav)
+    good = 1.0 if sure and dt <= ROW_AGE_MAX_S and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
-    if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
+    if t >= window.refit_at and nav.gps_age <= ROW_AGE_MAX_S:
         window.refit_at = t + refit.period - 1e-9
         _refit(memory, config, work)

@@ -36,11 +36,11 @@ from twin.filters.navigation_state import (
     navigation_settings,
 )
 from twin.filters.ukf import measurement_update
-from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
+from twin.identification.filter_settings import STUDY_STEP_S, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
-    DOUBTED,
-    STEP_MAX,
+    DOUBTED_VELOCITY_SD,
+    STEP_MAX_S,
     JointUKF,
     accumulate_information,
     advance,
@@ -101,12 +101,12 @@ DIVERGENCE_GATE = 10.0
 """Deviation from the navigation, in standard deviations, above which the state is re-initialised.
 Parameters are kept."""
 
-VELOCITY_LASTS = 0.25
-"""Standard deviation, in nominal speeds, of a velocity whose error lasts a length over nominal
-speed; that of a smaller one lasts less."""
+LASTING_VELOCITY_SD = 0.25
+"""Standard deviation, in nominal speeds, of a velocity error with a correlation time of L/U, to
+which the variance is proportional."""
 
-SURE = 0.25
-"""Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
+SEEN_SD = 0.25
+"""Largest standard deviation, in nominal speeds, of a velocity that updates the fastest one."""
 
 
 _BEGUN = field_at(NAVIGATION, "begun")
@@ -137,7 +137,7 @@ class UKFWork(NamedTuple):
 
 @inlined
 def _accelerations(dt, z, nav, state, given, model, scratch):
-    """Write what the model says of the accelerations, for the navigation."""
+    """Write the model's accelerations and their variances, for the navigation."""
     x, act, envelope = state.x, state.act, given.envelope
     terms, accel = scratch.terms, scratch.accel
     for k in range(accel.shape[0]):
@@ -186,9 +186,9 @@ def start_filter(cmd, nav, state, given):
 
 @inlined
 def has_diverged(outage, nav, state, given):
-    """Return whether the state must restart; ``outage`` is how long no fix had come, s."""
+    """Return whether the state must restart; ``outage`` is the time without fixes, s."""
     x, P, n, P_nav = state.x, state.P, nav.n, nav.P
-    # so long a rollout is far from linear in the parameters, which its errors would corrupt
+    # a rollout over such a gap is far from linear in the parameters: its errors would corrupt them
     diverged = outage > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
     diverged = diverged or nav.commands_doubted > 0.0 or nav.restarted > 0.0
     for i in range(N_STATES):
@@ -212,7 +212,7 @@ def restart_state(dt, cmd, nav, state, given):
     if nav.commands_doubted > 0.0:
         # nobody knows what the drives do
         for k in range(3):
-            P[U + k, U + k] += (DOUBTED * given.envelope[k]) ** 2
+            P[U + k, U + k] += (DOUBTED_VELOCITY_SD * given.envelope[k]) ** 2
     follow_all(state.act, cmd, given.lags, given.n_unit, dt)
 
 
@@ -229,16 +229,16 @@ def correct(dt, cmd, nav, state, given, model, scratch):
                 P[i, k] = P[k, i] = 0.0
     row = max(dt, 1e-3)
     for i in range(N_STATES):
-        noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
+        noise[i, i] = STUDY_STEP_S * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
     # an error of a velocity lasts from row to row until fixes tell: longer, the larger it is
     time = 4.0 / envelope[2]
     for i in range(U, R):
-        share = P_nav[i, i] / (VELOCITY_LASTS * 0.25 * envelope[0]) ** 2
+        share = P_nav[i, i] / (LASTING_VELOCITY_SD * 0.25 * envelope[0]) ** 2
         noise[i, i] += max(min(share, 1.0) * time / row - 1.0, 0.0) * P_nav[i, i]
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
-        # what the navigation then says of them is in part the model's own
+        # the navigation's velocities are then in part the model's own
         mask[X] = mask[Y] = 0.0
         noise[U, U] *= OUTAGE_NOISE_FACTOR
         noise[V, V] *= OUTAGE_NOISE_FACTOR
@@ -252,7 +252,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
                 # a diverged prediction is no wave: no wave moves the boat faster than it sails
                 error = min(abs(n[i] - x[i]), 0.25 * envelope[k])
                 more = error * error - P[i, i] - noise[i, i]
-                share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
+                share = min(min(row, STEP_MAX_S) / given.wave_time, 1.0)
                 wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
             noise[i, i] += given.wave_noise * wave_power[k] / row
     water = current_of(x, N_STATES, model.hull)
@@ -262,7 +262,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water
     clip_velocities(x, envelope)
-    if not no_gps and P_nav[U, U] + P_nav[V, V] < 2.0 * (SURE * 0.25 * envelope[0]) ** 2:
+    if not no_gps and P_nav[U, U] + P_nav[V, V] < 2.0 * (SEEN_SD * 0.25 * envelope[0]) ** 2:
         for k in range(3):
             state.fastest[k] = max(state.fastest[k], abs(n[U + k]))
 
@@ -414,7 +414,7 @@ class ModelPredictor(Predictor):
             act[:] = before
 
     def identifiability(self) -> Identifiability:
-        """Return what the data so far say of the parameters."""
+        """Return the identifiability of the parameters from the data until now."""
         ukf, settings = self.ukf, self.ukf.settings
         return assess(
             self.parameter_names,

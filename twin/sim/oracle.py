@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.navigation_ekf import GAP_MAX_S
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.baselines import COMMANDED, GRID, HistoryPredictor
@@ -193,7 +193,7 @@ class Oracle(HistoryPredictor):
         """Return the time and the state of the observer's ship, shape (17,)."""
         out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
-        _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), self._true)
+        _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX_S), self._true)
         if not self._begun:
             state[fr.N_LEFT :] = self._cmd
         share = -math.expm1(-GAIN * dt) if self._begun else 1.0

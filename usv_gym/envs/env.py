@@ -141,7 +141,7 @@ class BoatsAtSea:
         render_mode: str | None,
         render_size: tuple[int, int],
     ) -> tuple[spaces.Box, spaces.Box]:
-        """Add what looks on to the episodes; return the spaces of actions and observations."""
+        """Add renderer, recorder and observer; return the spaces of actions and observations."""
         if not isinstance(record, bool):
             raise UsvTwinError(f"record = {record!r}: must be True or False")
         self.episodes = episodes

@@ -451,7 +451,7 @@ class Episodes:
             self._pool.shutdown()
 
     def reset(self, i: int, rng: np.random.Generator, obs: np.ndarray) -> None:
-        """Put one boat to the start of an episode.
+        """Start an episode of one boat.
 
         Parameters
         ----------
@@ -462,8 +462,8 @@ class Episodes:
         obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
-        # what differs between episodes comes from the next episode's child, of which that takes
-        # children alone: so options leave what follows as it was
+        # all randomness of an episode comes from children of its generator, one for each purpose:
+        # so an option does not change what the others draw
         children, sim = spawn_children(rng, _KEYS, 2), self.simulation
         number = self.worlds.draw(children.states[_WORLD], i, sim) if self.worlds.active else 0
         sim.begin(i, Streams(children))

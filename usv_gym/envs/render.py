@@ -42,7 +42,7 @@ RENDER_SIZE = (720, 720)
 SMALLEST, LARGEST = (400, 360), 4096
 """Least width and height, below which the words do not fit, and the most of either, pixels."""
 
-LOOK = 10.0
+LOOK_AHEAD_S = 10.0
 """Time that the picture reaches ahead of a boat at its nominal speed, s."""
 
 # colours that people with any colour vision can tell apart, with paler ones for areas
@@ -197,7 +197,7 @@ def pictures(renderer: Renderer | None, started: bool) -> tuple[Frame, ...] | No
 
 def _span(vessel: Vessel, speed: float) -> float:
     """Return how many metres the shorter side of a picture shows."""
-    return max(1.5 * LOOK * speed, 6.0 * vessel.values["length_overall"])
+    return max(1.5 * LOOK_AHEAD_S * speed, 6.0 * vessel.values["length_overall"])
 
 
 def _angle(rad: float) -> str:

@@ -21,7 +21,7 @@ CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
 """Places of the errors."""
 
 N_TERMS = 8
-"""Most parts of a reward."""
+"""Largest number of parts of a reward."""
 
 PATH_TERMS = ("progress", "cross_track", "effort", "failure")
 STATION_TERMS = ("distance", "speed", "effort", "failure")
@@ -39,41 +39,42 @@ MOTION = "motion"
 EFFORT_COST = 0.05
 """What a change of the action by 1 costs."""
 
-OFF_PATH_MOST = 2.0
-"""The most that a distance from the path costs in a step."""
+OFF_PATH_COST_MAX = 2.0
+"""Largest cost of a distance from the path in a step."""
 
 DISTANCE_COST = 0.5
 BERTH_SPEED_COST = 0.5
 STATION_SPEED_COST = 0.1
 HEADING_COST = 0.25
-"""What a unit of distance, the nominal speed (too fast for a berth; at a station), and an angle to
-the berth of 90 degrees cost in a step."""
+"""Cost per step of a unit of distance, of a nominal speed too fast for a berth, of the nominal
+speed at a station, and of an angle to the berth of 90 degrees."""
 
 BERTH_SLOWING = 3.0
-"""A boat may sail at nominal speed so many reaches from its berth, and slower in proportion."""
+"""Distance from the berth, in reaches, below which the free speed falls in proportion to it."""
 
-ROLL_UNIT = math.radians(10.0)
-LIFT_UNIT = 2.0
-MOTION_MOST = 4.0
+ROLL_UNIT_RAD = math.radians(10.0)
+LIFT_UNIT_MPS2 = 2.0
+MOTION_COST_MAX = 4.0
 """Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
 and the most that a step costs, before the weight."""
 
-DECK = 0.4
-"""Where the deck point lies if nothing is said: lengths forward of the origin."""
+DECK_LENGTHS = 0.4
+"""Default place of the deck point, lengths forward of the origin."""
 
 WEIGHT_MAX = 1e3
 """Largest factor of a part of the reward."""
 
 FAILURE_COST = 500.0
-"""What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
-agent that looks ahead for less than that never fails on purpose."""
+"""Cost of leaving the area or capsizing: that of 12 s far from the path, so that an agent with a
+shorter horizon does not fail on purpose."""
 
 
 ALONGSIDE = math.radians(20.0)
 """Largest angle to its berth at which a boat counts as docked, rad."""
 
-REST = 0.1, 0.25
-"""Speed below which a boat is at rest, in nominal speeds, and the least such speed, m/s."""
+REST_SPEED_SHARE = 0.1
+REST_SPEED_MIN_MPS = 0.25
+"""Speed below which a boat is at rest, in nominal speeds, and its least value."""
 
 
 class TaskError(UsvTwinError):
@@ -163,14 +164,14 @@ def _rate_path(state, points, leg, rules, task, now):
     along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
     # too fast costs as much as too slow by the same amount
     now[PROGRESS] = 1.0 - abs(along / rules.speed - 1.0)
-    now[OFF_PATH] = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), OFF_PATH_MOST)
+    now[OFF_PATH] = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), OFF_PATH_COST_MAX)
     reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
     return reached, abs(errors[CROSS_TRACK]) > rules.area
 
 
 @inlined
 def _rate_docking(state, points, leg, rules, task, now):
-    """Do for a berth what :func:`_rate_path` does for a path."""
+    """Write the parts of the reward at a berth, as :func:`_rate_path` does."""
     errors, at_berth = task.errors, leg + 2 == points.shape[0]
     angle, distance = errors[COURSE_ERROR], math.hypot(errors[CROSS_TRACK], errors[TO_GO])
     if not at_berth:
@@ -190,7 +191,7 @@ def _rate_docking(state, points, leg, rules, task, now):
 
 @inlined
 def _rate_station(state, rules, task, now):
-    """Do for a point to stay at what :func:`_rate_path` does for a path."""
+    """Write the parts of the reward at a station, as :func:`_rate_path` does."""
     distance = math.hypot(task.errors[CROSS_TRACK], task.errors[TO_GO])
     speed = math.hypot(state[fr.U], state[fr.V])
     now[DISTANCE] = -DISTANCE_COST * distance / rules.unit
@@ -200,13 +201,13 @@ def _rate_station(state, rules, task, now):
 
 @inlined
 def _rate_motion(state, rate, rules):
-    """Return what roll, and vertical acceleration of the deck point along the mast, cost."""
+    """Return the cost of roll, and of the deck point's acceleration along the mast."""
     lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
     ahead, side, down = rules.deck[0], rules.deck[1], rules.deck[2]
     p, q, r = state[fr.P], state[fr.Q], state[fr.R]
     lift -= ahead * (rate[fr.Q] - p * r)
     lift += side * (rate[fr.P] + q * r) - down * (p * p + q * q)
-    return min((state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2, MOTION_MOST)
+    return min((state[fr.PHI] / ROLL_UNIT_RAD) ** 2 + (lift / LIFT_UNIT_MPS2) ** 2, MOTION_COST_MAX)
 
 
 @kernel

@@ -41,7 +41,7 @@ class Scaled(NamedTuple):
     near: float = 0.0
     """If above 0, it is this times :data:`NEAR`."""
     of_pair: Scaled | None = None
-    """What stands in its place for a vessel that steers by a pair of thrusters."""
+    """Its replacement for a vessel that steers by a pair of thrusters."""
 
 
 @kernel
@@ -117,7 +117,7 @@ class Selection:
 
 
 def _place(entry: Scaled, places: dict[str, int]) -> int:
-    """Return where the source of an entry stands; UsvTwinError where it does not."""
+    """Return the place of the source of an entry; UsvTwinError where there is none."""
     sources = (entry.source,) if isinstance(entry.source, str) else entry.source
     for source in sources:
         if source in places:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usv_gym.envs.scoring import (
-    DECK,
+    DECK_LENGTHS,
     DOCK,
     DOCK_TERMS,
     MOTION,
@@ -18,7 +18,8 @@ from usv_gym.envs.scoring import (
     NOTHING,
     PATH,
     PATH_TERMS,
-    REST,
+    REST_SPEED_MIN_MPS,
+    REST_SPEED_SHARE,
     RULES,
     STATION,
     STATION_TERMS,
@@ -60,8 +61,8 @@ _DRAWS_MAX = 2 * LEGS_MAX
 _BENDS = 20
 """Bends of a curve: 6 legs or more of each, together at least 120."""
 
-SEAKEEPING_TIME = 110.0
-"""Time to sail the path of the task ``seakeeping`` at the nominal speed, s."""
+SEAKEEPING_TIME_S = 110.0
+"""Time to sail the path of the task ``seakeeping`` at the nominal speed."""
 
 
 class Step(NamedTuple):
@@ -165,8 +166,8 @@ class Task:
         self.rules["reach"], self.rules["area"] = self.reach * length, self.area * self.unit
         self.rules["unit"], self.rules["loose"] = self.unit, self.loose
         self.rules["motion"] = self.motion if motion is None else motion
-        self.rules["deck"] = DECK * length, 0.0, 0.0
-        self.rules["rest"] = max(REST[0] * speed, REST[1])
+        self.rules["deck"] = DECK_LENGTHS * length, 0.0, 0.0
+        self.rules["rest"] = max(REST_SPEED_SHARE * speed, REST_SPEED_MIN_MPS)
         self.rules["terms"] = len(self.terms)
         if self.rules["motion"] > 0.0:
             self.terms = (*self.terms, MOTION)
@@ -424,7 +425,7 @@ class Seakeeping(PathFollowing):
 
     def ranges(self) -> Ranges:
         """See :meth:`Task.ranges`."""
-        length = SEAKEEPING_TIME * self.rules["speed"].item()
+        length = SEAKEEPING_TIME_S * self.rules["speed"].item()
         return [(60.0, length, length)]
 
 

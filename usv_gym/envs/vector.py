@@ -40,7 +40,7 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     num_envs : int
         Number of boats.
     max_episode_steps : int, optional
-        An episode is truncated after so many decisions; None: never.
+        Number of decisions after which an episode is truncated; None: never.
     autoreset_mode : AutoresetMode or str
         ``"NextStep"``: the step after an episode's end resets it, whatever the action.
         ``"SameStep"``: the step that ends it does; ``info["final_obs"]`` and
@@ -51,7 +51,7 @@ class USVVectorEnv(BoatsAtSea, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         shows the first boat.
     num_threads : int
         Threads that share the boats; worth it from some hundred boats on, and more so with twins.
-        The results do not hang on it.
+        The results do not depend on it.
     observer : callable, optional
         As for :class:`usv_gym.envs.env.USVEnv`.
     record : bool

@@ -42,7 +42,7 @@ DRAWN = (
 
 _KIND, _LOAD, _WIND_FROM, _CURRENT, _CURRENT_TO, _HEADING = range(6)
 _NUMBERS = 6
-"""Uniform numbers of an episode: all are drawn, so that none hangs on which options are set."""
+"""Uniform numbers of an episode: all are drawn, so that none depends on the options."""
 
 _KIND_AT = field_at(WORLD, "kind")
 _LOAD_AT = field_at(WORLD, "load")
@@ -68,7 +68,7 @@ def _draw(
     world: np.ndarray,
     scratch: np.ndarray,
 ) -> float:
-    """Draw what one episode has, and return the speed of its boat, or why there is none.
+    """Draw one episode, and return the speed of its boat, or why there is none.
 
     ``words`` (4,) start its generator, and become it. ``spans`` (6, 2) are ranges; NaN: not drawn.
     ``laws`` (K, ...), ``row`` and ``world`` are flat memory of LAW, BOAT and WORLD.
@@ -154,7 +154,7 @@ class Worlds:
             self.names["vessel_factors"][i] = same
 
     def drawn(self, i: int) -> dict[str, Any]:
-        """Return what stands in ``info["drawn"]`` of boat i."""
+        """Return ``info["drawn"]`` of boat i."""
         numbers = zip(DRAWN, self.numbers[i].tolist(), strict=True)
         return {**{key: values[i] for key, values in self.names.items()}, **dict(numbers)}
 

@@ -96,7 +96,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 def factor_workspace(components: int) -> np.ndarray:
-    """Return the workspace of :func:`wave_factors` for so many components, shape (16, width).
+    """Return the workspace of :func:`wave_factors` for a number of components, (16, width).
 
     Rows are filled up with zeros, see :func:`~usv_kernel.simd.padded`.
     """
@@ -133,7 +133,7 @@ def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
 def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.ndarray) -> None:
     """Write what the length and the beam of the hull make of each component.
 
-    They hang on the heading only, so that one evaluation, at its middle, serves a step. ``dof``
+    They depend on the heading only, so that one evaluation, at its middle, serves a step. ``dof``
     3 leaves lift, trim and heel out. ``factors`` (16, padded(M)) is from :func:`factor_workspace`.
     """
     M = waves.shape[1]
@@ -174,7 +174,7 @@ def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.
 
 @kernel
 def _around(psi: float, count: int) -> tuple[int, int, int, int, float]:
-    """Return the four headings next to psi of so many on a circle, and psi's share of the middle.
+    """Return the four of even headings next to psi, and psi's share between the middle two.
 
     They are those of :func:`_weights`.
     """

@@ -46,7 +46,7 @@ OLD = 100
 """A packet that is older than the last by fewer counts was delayed, not sent after a restart."""
 
 GONE = 2.0
-"""An autopilot that is silent for so long, s, is replaced by any other."""
+"""Time of silence after which another autopilot may replace one, s."""
 
 
 class BackendError(UsvTwinError):

@@ -48,7 +48,7 @@ class Server:
         self.port = int(self._socket.getsockname()[1])
 
     def poll(self, timeout: float = 0.2) -> bool:
-        """Answer one datagram, if one comes within so many seconds; return whether one came."""
+        """Answer one datagram, if one comes within a time (s); return whether one came."""
         self._socket.settimeout(timeout)
         try:
             data, source = self._socket.recvfrom(1 << 16)

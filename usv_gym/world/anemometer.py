@@ -51,7 +51,7 @@ def measure_wind(
     numbers: np.ndarray,
     line: np.ndarray,
 ) -> None:
-    """Write what an anemometer says now to ``boat.sensors.wind``, NaN where it has no new sample.
+    """Write an anemometer's measurement to ``boat.sensors.wind``, NaN without a new sample.
 
     It stands above the origin and tilts with the boat, so it measures what blows across the deck:
     the wind of its height less the velocity of the masthead.

@@ -169,14 +169,14 @@ _FACTORS = {"zero": 0.0, "sign": -1.0}
 AMOUNT_MAX = 1e9
 """Largest amount of a fault."""
 
-DELAY_MAX = 300.0
+DELAY_MAX_S = 300.0
 """Longest delay and longest stall, s: all rows of that time are kept."""
 
 PARTNERS = (1, 0, 3, 2, 4, 5, 7, 6, 9, 8, 10, 12, 11, 13, 14, 15, 16, 18, 17, 20, 19)
-"""With which number of a row each is exchanged by ``swapped``; itself: with none."""
+"""Place in a row with which ``swapped`` exchanges each number; its own: with none."""
 
 _ADDED_TO = np.array([1, 0, 1, 0, *[1] * 9, 0, 0, 1, 0, *[0] * 4])
-"""Numbers of a row that errors are added to: to the north and not to the east, and so on."""
+"""1 for the numbers of a row that offsets are added to: of vectors the northern part alone."""
 
 _BITS = np.array(BITS)
 
@@ -227,7 +227,7 @@ and :data:`WIND_CHANNELS`. By judgement: far beyond the noise, but possible."""
 
 @dataclass(frozen=True)
 class Disturbance(ABC):
-    """What a fault does to what; subclasses define when.
+    """Kind and effect of a fault; subclasses define its times.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{kind} fault: {effect!r} takes no amount, got {self.amount!r}; leave it out"
             )
-        low, high = (1e-3, DELAY_MAX) if effect == "late" else (-AMOUNT_MAX, AMOUNT_MAX)
+        low, high = (1e-3, DELAY_MAX_S) if effect == "late" else (-AMOUNT_MAX, AMOUNT_MAX)
         if not (is_finite(self.amount) and low <= self.amount <= high):
             raise FaultError(
                 f"{kind} fault: the amount of {effect!r} must be a number from {low:g} to "
@@ -306,9 +306,9 @@ class Disturbance(ABC):
 
     def _check_stall(self) -> None:
         """Refuse a stall of more rows than can be kept."""
-        if self.effect == "stall" and not self._longest() <= DELAY_MAX:
+        if self.effect == "stall" and not self._longest() <= DELAY_MAX_S:
             raise FaultError(
-                f"{self.kind} fault: a stall must last {DELAY_MAX:g} s at most, got "
+                f"{self.kind} fault: a stall must last {DELAY_MAX_S:g} s at most, got "
                 f"{self._longest():g} s; use windows that are shorter, and no bursts"
             )
 
@@ -320,7 +320,7 @@ class Disturbance(ABC):
         return float(self.amount or 0.0) if self.effect == "late" else 0.0
 
     def _errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is added to a row (21,), and what that grows by a second."""
+        """Return offsets of a row (21,), and their rates per second."""
         none = np.zeros(STRUCK)
         if EFFECTS[self.effect] != OFFSET:
             return none, none
@@ -767,13 +767,13 @@ def _recalled(j, after, until, count, memory):
 
 @inlined
 def _held(j, last):
-    """Return what channel j handed out last; a command that never was is 0."""
+    """Return the last output of channel j; a command before the first is 0."""
     return last[j] if j < CHANNELS or math.isfinite(last[j]) else 0.0
 
 
 @inlined
 def _recall(t, count, fault, last, memory, z):
-    """Replace what a fault strikes by the old samples that come now."""
+    """Replace the numbers that a fault strikes by the delayed samples of this time."""
     before = memory[(count - 1) % memory.shape[0], 0] if count > 0 else -math.inf
     after, until = before - fault.delay, t - fault.delay
     if fault.effect == STALL:
@@ -864,7 +864,7 @@ def strike(
 
 @inlined
 def drive(command, faults, drives):
-    """Write what the drives make of a command (4,) with faults (F,) of the thrusters."""
+    """Write the command (4,) of the drives after faults (F,) of the thrusters."""
     for k in range(4):
         drives[k] = command[k]
     for i in range(faults.shape[0]):

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def fill_rows(rows: np.ndarray, count: int, rho_g: float, draft: float) -> None:
-    """Complete the first components (7, M), of which directions stand in place of the numbers."""
+    """Complete the first components (7, M), whose directions are in the rows of random numbers."""
     for i in range(count):
         k = rows[waves.OMEGA, i] ** 2 / GRAVITY
         fall = -math.expm1(-k * draft)
@@ -155,7 +155,7 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
     loads *= _beyond(at, points)[:, None]
     loads[..., _PITCH] -= vessel.values["x_F"] * loads[..., _HEAVE]
     to = np.arctan2(rows[waves.K_EAST], rows[waves.K_NORTH])
-    around = amplitude[:, None, None] * _turned(loads, to)
+    around = amplitude[:, None, None] * _at_boat_headings(loads, to)
     # (M, H, 6) -> (H, 6, M); Re(F exp(i phase)) = Re F cos(phase) - Im F sin(phase)
     around = np.moveaxis(around, 0, 2)
     out = np.zeros((waves.LOAD_HEADINGS, waves.LOAD_ROWS, M))
@@ -227,7 +227,7 @@ def _add_drift(given, to, scale, table, out):
         around[k, 1], around[k, 0] = sincos(2.0 * math.pi * k / K)
     for h in range(H):
         headings[h, 1], headings[h, 0] = sincos(2.0 * math.pi * h / H)
-    # trigonometric interpolation, see _turned: lobes of the wave, at the headings of the boat
+    # trigonometric interpolation, see _at_boat_headings: lobes of the wave, at headings of the boat
     for n in range(K // 2 + 1):
         weight = (1.0 if n == 0 or 2 * n == K else 2.0) / K
         s, c = sincos(n * to)
@@ -279,7 +279,7 @@ def _beyond(omega: Array, points: Array) -> Array:
     return np.asarray(long * np.minimum(points[-1] / omega, 1.0)[:, None] ** 6)
 
 
-def _turned(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
+def _at_boat_headings(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
     """Return values (M, K, n) at even headings of the wave, at even headings (M, H, n) of the boat.
 
     ``to`` (M,) is where each wave goes. Trigonometric interpolation: exact up to K / 2 lobes.
@@ -288,7 +288,7 @@ def _turned(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
     order = np.arange(-(K // 2), K // 2 + 1)
     lobes = np.fft.fft(values, axis=1)[:, order] / K * np.exp(1j * np.outer(to, order))[:, :, None]
     lobes[:, [0, -1]] *= 0.5  # K / 2 lobes turn either way
-    # lobes that are alike at these headings are one. No matrix product: its rounding hangs on
+    # lobes that are alike at these headings are one. No matrix product: its rounding depends on
     # where the numbers lie
     folded = np.zeros((len(values), H, values.shape[2]), dtype=complex)
     for k, n in enumerate(order % H):

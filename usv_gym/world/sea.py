@@ -162,7 +162,7 @@ class SeaState:
                 object.__setattr__(self, name, 0.0)
         if self.components != int(self.components):
             raise SeaError(f"components = {self.components}: must be a whole number")
-        self._take_spectrum()
+        self._read_spectrum()
         for name, known in _CHOICES.items():
             value = getattr(self, name)
             if isinstance(value, Spectrum):
@@ -177,14 +177,14 @@ class SeaState:
             raise SeaError(
                 f"gamma = {self.gamma}: only the spectrum jonswap takes a peak enhancement"
             )
-        self._take_schedule()
+        self._check_schedule()
         if self.tp is not None and self.hs > STEEPEST * GRAVITY * self.tp**2 / _TURN:
             raise SeaError(
                 f"hs = {self.hs:g} m with tp = {self.tp:g} s: such waves break; the height must be "
                 f"at most {STEEPEST * GRAVITY * self.tp**2 / _TURN:.2g} m (a seventh of the length)"
             )
 
-    def _take_spectrum(self) -> None:
+    def _read_spectrum(self) -> None:
         """Read a measured spectrum from its file, and take its height if none is given."""
         spectrum = self.spectrum
         named = isinstance(spectrum, str) and spectrum in SPECTRA
@@ -199,7 +199,7 @@ class SeaState:
         if isinstance(spectrum, Spectrum) and self.hs == 0.0 and not self.schedule:
             object.__setattr__(self, "hs", spectrum.moments.hs)
 
-    def _take_schedule(self) -> None:
+    def _check_schedule(self) -> None:
         """Check the schedule, and take the greatest height and wind from it."""
         try:
             schedule = tuple(SeaKeyframe(*keyframe) for keyframe in self.schedule)

@@ -116,12 +116,12 @@ SENSORS = np.dtype(
         ),  # what was handed out last, NaN before the first; see faults.strike
     ]
 )
-"""What the sensors of one boat remember."""
+"""Memory of the sensors of one boat."""
 
 
 @kernel
 def start_sensors(suite: Record, numbers: np.ndarray, sensors: Record) -> None:
-    """Write what the sensors remember at the start: settled biases, and no sample.
+    """Initialise the memory of the sensors: settled biases, and no sample.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def measure(
     motion_numbers: np.ndarray,
     delay_line: np.ndarray,
 ) -> None:
-    """Write what the sensors of a boat say now, without faults.
+    """Write the measurements of a boat's sensors, without faults.
 
     The IMU measures specific force where it sits, along its own axes. Gravity leaks into the
     horizontal ones with roll and pitch: with a = nu' + omega x nu of the origin,
@@ -211,7 +211,7 @@ def measure(
             sensors.gyro_bias, suite.gyro_bias, suite.gyro_decay, noise.gyro_bias
         )
     rows = delay_line.shape[0]
-    _note_exact(boat, dt, suite, as_record(delay_line[count % rows], DELAY_LINE))
+    _sample_exact(boat, dt, suite, as_record(delay_line[count % rows], DELAY_LINE))
     for i in range(z.shape[0]):
         z[i] = math.nan
     # a sensor with latency gives nothing until its first sample is old enough
@@ -253,7 +253,7 @@ def _arrives(count, delay, share):
 
 
 @inlined
-def _note_exact(boat, dt, suite, newest):
+def _sample_exact(boat, dt, suite, newest):
     """Write what the sensors measure at this moment, without errors, to the delay line."""
     state, mean_rate = boat.state, boat.mean_rate
     phi, theta, psi = state[fr.PHI], state[fr.THETA], state[fr.PSI]
@@ -302,7 +302,7 @@ def _note_exact(boat, dt, suite, newest):
 
 @inlined
 def _measure_motion(boat, suite, numbers, due, exact):
-    """Write what an IMU of three axes, an AHRS and GNSS say of roll, pitch and heave.
+    """Write roll, pitch and heave as an IMU of three axes, an AHRS and GNSS measure them.
 
     ``due`` is whether GNSS, IMU and AHRS have a sample, ``exact`` what they measured, without
     errors.

@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 DONE, NOT_FINITE, RAN_AWAY = range(3)
-"""What became of a step: done; not done, as actions were not finite;
+"""Result of a step: done; not done, as actions were not finite;
 done, but a boat has run away."""
 
 DT_RANGE = 1e-4, 10.0
@@ -65,7 +65,7 @@ Ctrl-C is heard between calls."""
 STATE_MAX = 1e9
 """Bound of every entry of a plausible state, SI units."""
 
-PLACE_MAX = 1e6
+START_MAX_M = 1e6
 """Farthest start from the origin along each axis, m."""
 
 _GPS, _COMPASS, _IMU, _MOTION, _WIND, _WEATHER = range(len(NOISE_STREAMS))
@@ -175,7 +175,7 @@ def _measure(dt, boat, config, noise, gusts, arrays):
 
 @kernel
 def _strike(boat, faults, memory):
-    """Apply the faults to what the sensors say and what is reported."""
+    """Apply the faults to measurements and reported commands."""
     z = alloca_f64(STRUCK)
     for j in range(CHANNELS):
         z[j] = boat.measurement[j]
@@ -421,7 +421,7 @@ class Simulation:
         heading: float = 0.0,
         at: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Put some boats back to the start: straight ahead, by default at the manoeuvring speed.
+        """Reset some boats to the start: straight ahead, by default at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
         gusts, GPS, compass, IMU, anemometer and faults each get a child of the boat's generator. So
@@ -481,7 +481,7 @@ class Simulation:
         if np.shape(at) != (2,):
             raise SimulationError(f"at = {at!r}: must be two numbers, m north and east")
         for number in at:
-            check_number("at", number, -PLACE_MAX, PLACE_MAX, SimulationError)
+            check_number("at", number, -START_MAX_M, START_MAX_M, SimulationError)
         u, n = self.kinds[0].speed, self.kinds[0].shaft_speed
         if speed is not None:
             most = self.vessel.values["shaft_speed_max"]

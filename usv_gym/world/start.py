@@ -246,7 +246,7 @@ def _draw_waves(row, config, sea, p, stream, to, frequencies, directions):
     fill_uniform(stream, phase)
     amplitude[:] = sea.hs / math.sqrt(8.0 * count)
     if sea.tabled > 0.0:
-        _take_frequencies(sea.hs, frequencies, omega, amplitude)
+        _draw_frequencies(sea.hs, frequencies, omega, amplitude)
     else:
         pm_components(sea.hs, omega)
     if sea.spread > 0.0:
@@ -259,7 +259,7 @@ def _draw_waves(row, config, sea, p, stream, to, frequencies, directions):
 
 
 @inlined
-def _take_frequencies(hs, table, omega, amplitude):
+def _draw_frequencies(hs, table, omega, amplitude):
     """Replace uniform numbers (M,) by frequencies (rad/s), and write the amplitudes (m).
 
     One lies at random in each of M bins: the sea never repeats.

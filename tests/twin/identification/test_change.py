@@ -5,7 +5,13 @@ import pytest
 
 from tests.twin.identification.test_data_weight import PARTICULARS, SPACING, run, segments, window
 from twin.identification.change import change_evidence, quadratics_by_changes
-from twin.identification.data_weight import ALARM, CHANGED, EVIDENCE_ALARM, SHORT, TrustSelector
+from twin.identification.data_weight import (
+    ALARM,
+    CHANGED,
+    EVIDENCE_ALARM,
+    SHORT,
+    DataWeightSelector,
+)
 from twin.identification.segments import samples_of
 from twin.model.dynamics import model_of
 from twin.model.rollout import GRID
@@ -62,7 +68,7 @@ def test_without_segments_there_is_no_evidence(structure):
 
 def test_after_a_change_the_refit_goes_on_from_what_was_known(structure):
     rows = changed_rows(structure, 0, 0.5, seed=3)
-    selector = TrustSelector(segments(structure, structure.mean, sure=1.0))
+    selector = DataWeightSelector(segments(structure, structure.mean, sure=1.0))
     run(structure, selector, rows)
     count = selector.state.count
     # it is found within 16 s, and at the right time within 14 s
@@ -77,6 +83,6 @@ def test_after_a_change_the_refit_goes_on_from_what_was_known(structure):
 
 def test_a_boat_that_does_not_change_stays_with_its_refit(structure):
     rows = window(structure, structure.mean, np.random.default_rng(8), noise=0.7, rows=480)
-    selector = TrustSelector(segments(structure, structure.mean))
+    selector = DataWeightSelector(segments(structure, structure.mean))
     run(structure, selector, rows)
     assert selector.state.count[ALARM] < 0.0

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from twin.identification.data_weight import (
-    ENOUGH,
+    DATA_WEIGHTS,
     SCORED,
-    TRUSTS,
-    TrustSelector,
+    SCORED_MIN,
+    DataWeightSelector,
     forecast_error,
-    note,
+    keep_parameters,
     score,
-    select_trust,
+    select_data_weight,
 )
 from twin.identification.prediction_error import (
     ACT,
@@ -93,10 +93,10 @@ def test_a_forecast_that_leaves_all_bounds_is_the_worst(structure):
     wild = structure.mean.copy()
     wild[structure.parameters.index("X_u|u|")] = 10.0
     assert error_of(structure, rows, wild) == np.inf
-    selector = TrustSelector(segments(structure, structure.mean))
+    selector = DataWeightSelector(segments(structure, structure.mean))
     selector.params[1] = wild
     own = selector.segments
-    note(0, SPACING, selector.state)
+    keep_parameters(0, SPACING, selector.state)
     score(0, rows, selector.state, own.config, own.model, own.work)
     assert np.isfinite(selector.errors).all()
     assert np.argmax(selector.errors) == 1
@@ -119,9 +119,9 @@ def run(structure, selector, rows):
         if (own.first >= 0).sum() < 3:
             continue
         for start in range(next_start, newest + 1, SPACING):
-            note(start, SPACING, selector.state)
+            keep_parameters(start, SPACING, selector.state)
         own.relinearise(rows, 8)
-        select_trust(newest, selector.state, own.state, *given)
+        select_data_weight(newest, selector.state, own.state, *given)
 
 
 @pytest.mark.slow
@@ -131,12 +131,12 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
         k = structure.parameters.index(name)
         truth[k] += 0.5 * structure.sd[k]
     rows = window(structure, truth, np.random.default_rng(1), noise=1.0)
-    selector = TrustSelector(segments(structure, structure.mean, sure=20.0))
+    selector = DataWeightSelector(segments(structure, structure.mean, sure=20.0))
     run(structure, selector, rows)
     assert selector.chosen > 0
     own = selector.segments
     assert (own.params == selector.params[selector.chosen]).all()
-    assert TRUSTS[selector.chosen] > TRUSTS[0]
+    assert DATA_WEIGHTS[selector.chosen] > DATA_WEIGHTS[0]
     # the choice pays on what comes later
     later = window(structure, truth, np.random.default_rng(2))
     errors = [
@@ -148,8 +148,8 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
 
 def test_a_good_prior_is_kept_in_noise(structure):
     rows = window(structure, structure.mean, np.random.default_rng(3), noise=1.0)
-    selector = TrustSelector(segments(structure, structure.mean))
+    selector = DataWeightSelector(segments(structure, structure.mean))
     run(structure, selector, rows)
-    assert selector.state.count[SCORED] >= ENOUGH
+    assert selector.state.count[SCORED] >= SCORED_MIN
     assert selector.chosen == 0
     assert selector.errors[0] < selector.errors[2]

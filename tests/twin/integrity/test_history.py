@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin
-from twin.integrity.history import KEPT, HealthHistory
+from twin.integrity.history import CHANGES_KEPT, HealthHistory
 from twin.integrity.monitor import SensorMonitor, SensorStatus
 from twin.integrity.state import ABSENT, CONTRADICTS, EXCLUDED, OK, SENSORS
 from twin.sim.bridge import particulars_of, simulate
@@ -64,11 +64,11 @@ def test_status_at_a_time_is_that_of_the_row_before_it():
 def test_a_sensor_that_comes_and_goes_does_not_fill_the_memory():
     monitor = SensorMonitor(PARTICULARS)
     history = HealthHistory(monitor)
-    for t in range(2 * KEPT):
+    for t in range(2 * CHANGES_KEPT):
         monitor.record["sensors"]["status"] = OK if t % 2 else ABSENT
         history.take(float(t), 0.0, {})
-    assert 0 < len(history.lines()) <= len(SENSORS) * KEPT / 2
-    assert history.at(2.0 * KEPT)["gps"].status == "ok"
+    assert 0 < len(history.lines()) <= len(SENSORS) * CHANGES_KEPT / 2
+    assert history.at(2.0 * CHANGES_KEPT)["gps"].status == "ok"
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from twin.cli.main import app
 from twin.digital_twin import Twin, TwinError
 from twin.integrity.evidence import GRID_POINTS, signals_of
 from twin.integrity.log_check import check_log
-from twin.integrity.rows import MANY
+from twin.integrity.rows import SAMPLES_MIN
 from twin.logs.clock import wild_stamps
 from twin.logs.errors import LogError
 from twin.logs.log import Log
@@ -107,7 +107,7 @@ def test_a_pause_of_weeks_costs_no_points_of_the_grid() -> None:
     t = STEP * np.arange(600.0) + 1.5e6 * (np.arange(600) >= 300)
     signals = signals_of(Recording.of({"t_s": t, "compass_rad": np.sin(0.1 * t)}, {}, "log"))
     assert signals is not None
-    assert signals.step == pytest.approx(STEP) and MANY < len(signals.t) < GRID_POINTS / 10
+    assert signals.step == pytest.approx(STEP) and SAMPLES_MIN < len(signals.t) < GRID_POINTS / 10
 
 
 def test_on_board_a_row_of_another_month_is_refused_and_costs_nothing(boat) -> None:

@@ -501,6 +501,6 @@ def test_follow_solves_the_actuator_law(
         once = actuators.follow(once, target, lag, rate, h / 7)
     assert once == pytest.approx(slow, abs=1e-3 + 0.01 * h / parts * abs(target - value) / lag)
     # one that is next to its target is taken as there
-    close = 1e-12 + 2.0 * actuators.ARRIVED * abs(target)
+    close = 1e-12 + 2.0 * actuators.ARRIVED_SHARE * abs(target)
     assert actuators.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
     assert min(value, target) <= once <= max(value, target)

@@ -21,9 +21,9 @@ from twin.model.structure import (
     accelerations,
     state_terms,
     structure_of,
+    term_slopes,
     thrust_terms,
 )
-from twin.model.term_slopes import term_slopes
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 

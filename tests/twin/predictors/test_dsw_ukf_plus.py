@@ -28,7 +28,7 @@ from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.forecast import past_waves
 from twin.predictors.plus_update import (
-    GAP_GOOD,
+    ROW_AGE_MAX_S,
     PlusMemory,
     _slow_step,
     plus_step,
@@ -428,7 +428,7 @@ def test_without_gps_the_mean_of_joint_filter_and_refit_goes_on() -> None:
         if t >= lost:
             blind[:4] = math.nan
         twin.step(t, blind, cmd)
-        if structured(predictor.memory.nav[None], NAVIGATION)["gps_age"][0] > GAP_GOOD:
+        if structured(predictor.memory.nav[None], NAVIGATION)["gps_age"][0] > ROW_AGE_MAX_S:
             break
         before = predictor.ukf.xi.copy()
     mean = 0.5 * (predictor.joint.xi + predictor.selector.params[0])

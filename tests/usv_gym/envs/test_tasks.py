@@ -41,7 +41,7 @@ def bends(points):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_paths_begin_at_the_boat_and_hang_on_their_seed_alone(name):
+def test_paths_begin_at_the_boat_and_depend_on_their_seed_alone(name):
     task = drawn(name, 3, n=2)
     assert (task.points[:, 0] == 0.0).all()
     again = drawn(name, 3, n=2)

@@ -29,7 +29,7 @@ def test_pm_moment_and_peak_are_those_of_the_height_spectrum(hs: float) -> None:
 
 def test_ittc_has_the_height_and_periods_it_is_given() -> None:
     m = spectra.moments(OMEGA, spectra.ittc_spectrum(OMEGA, 2.0, 8.0))
-    # the grid's steps are 2.3e-5, its end cuts the tail that Tm02 hangs on by 1e-4
+    # the grid's steps are 2.3e-5, its end cuts the tail, which changes Tm02 by 1e-4
     assert (m.hs, m.tp) == (pytest.approx(2.0, rel=1e-5), pytest.approx(8.0, rel=5e-5))
     # T1 = .772 Tp, Tz = .710 Tp: README of the NDBC data, three figures
     assert m.tm01 / 8.0 == pytest.approx(0.772, abs=5e-4)

@@ -36,7 +36,7 @@ def test_port_mirrors_starboard(gamma: float) -> None:
 
 @given(u=st.floats(-20, 20), v=st.floats(-5, 5), psi=angles, speed=st.floats(0, 30), to=angles)
 @settings(max_examples=200, deadline=None)
-def test_loads_hang_on_the_air_seen_from_the_boat(
+def test_loads_depend_on_the_air_seen_from_the_boat(
     u: float, v: float, psi: float, speed: float, to: float
 ) -> None:
     """Turning boat and wind together, or adding one velocity to both, changes nothing."""

@@ -223,7 +223,7 @@ def test_spreading_has_the_moments_of_its_law(s: float, discretisation: str) -> 
     for moment in (np.sin, lambda x: np.sin(x) ** 2, lambda x: np.cos(2.0 * x), np.cos):
         expected = np.trapezoid(law * moment(mu), mu)
         assert np.sum(share * moment(aside)) == pytest.approx(expected, abs=atol)
-    # the direction takes no energy, and does not hang on the frequency
+    # the direction takes no energy, and does not depend on the frequency
     np.testing.assert_array_equal(
         sea.waves[[waves.OMEGA, waves.PHASE, waves.AMPLITUDE, waves.PRESSURE]],
         long_crested.waves[[waves.OMEGA, waves.PHASE, waves.AMPLITUDE, waves.PRESSURE]],
