@@ -322,6 +322,7 @@ class Trial(NamedTuple):
     hypothesis: Hypothesis
     size: float
     sd: float
+    cost: float
     score: float
     signals: Signals
     evidence: Evidence
@@ -334,10 +335,19 @@ class Trial(NamedTuple):
         return each.undo(s, self.size)
 
 
-def _total(before: Evidence, after: Evidence, each: Hypothesis) -> float:
+def _total(before: Evidence, after: Evidence, *tried: Hypothesis) -> float:
     """Return the gain of log-likelihood by a hypothesis; a fitted number gains none by commands."""
-    known = () if each.scan is None else BY_COMMANDS
+    known = BY_COMMANDS if any(each.scan for each in tried) else ()
     return sum(gain(before[name], after[name]) for name in before if name not in known)
+
+
+def _lead(one: Trial, other: Trial) -> float:
+    """Return the log-likelihood of a hypothesis over that of another one, less their costs.
+
+    They are held against each other: what either leaves has another number of independent samples.
+    """
+    tried = one.hypothesis, other.hypothesis
+    return _total(other.evidence, one.evidence, *tried) - one.cost + other.cost
 
 
 def _at_most(base: Evidence, each: Hypothesis) -> float:
@@ -376,7 +386,7 @@ def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
         size = float(best.x if -best.fun > scores[k] else values[k])
         bend = at(size - width)[0] + at(size + width)[0] - 2.0 * max(-best.fun, scores[k])
         sd = width / math.sqrt(-bend) if bend < 0.0 else math.inf
-    return Trial(each, size, sd, *at(size))
+    return Trial(each, size, sd, cost, *at(size))
 
 
 def _counts(trial: Trial) -> bool:
@@ -407,8 +417,11 @@ def explain(s: Signals) -> tuple[list[Finding], Signals, list[Trial]]:
         if not likely:
             return found, s, undone
         # what a guess takes from other columns agrees with them in any case
-        best = max(likely, key=lambda trial: (not trial.hypothesis.guess, trial.score))
-        near = [t for t in likely if t.score > best.score - PARAMETER_COST and t is not best]
+        certain = [trial for trial in likely if not trial.hypothesis.guess] or likely
+        best = certain[0]
+        for trial in certain[1:]:
+            best = trial if _lead(trial, best) > 0.0 else best
+        near = [t for t in likely if t is not best and _lead(best, t) < PARAMETER_COST]
         found.append(_finding(best, near, s.latency))
         undone.append(best)
         # what is guessed cannot be held against others
