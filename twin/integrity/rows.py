@@ -458,9 +458,11 @@ def without_marks(
             f"{values[row]:.5g}{shown} at t = {recording.t[row]:.1f} s: glitches, or marks for "
             '"no value"'
         )
-        remedy = "leave these cells empty; here they are left out, and the rest is checked"
-        if sensor in COMMANDS:
-            remedy = f"name them in the mapping, as empty = [0, 65535], or {remedy}"
+        marks = "0, 65535" if sensor in COMMANDS else "999"
+        remedy = (
+            f"name them in the mapping, as empty = [{marks}], or leave these cells empty; here "
+            "they are left out, and the rest is checked"
+        )
         severity = WARNING if len(rows) < FEW * count or OPTIONAL.issuperset(names) else ERROR
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
         found.append(Finding(severity, "mark", what, remedy, sensor, float(values[row]), **span))

@@ -18,8 +18,8 @@ HEADINGS = "compass_rad", "wind_from_rad", "apparent_wind_rad"
 """Columns of a log in which a receiver says 511, 999 or 360 degrees where it knows none."""
 
 RARE = 0.01
-"""Numbers that stand for none come in a larger share of the rows; of AIS, those of a speed in any,
-and other commands than pulses lie among them."""
+"""Numbers of angles and commands that stand for none come in a larger share of the rows; commands
+other than pulses lie among them."""
 
 
 def marks_of(values: Array, turn: float = math.nan) -> list[float]:
@@ -39,12 +39,15 @@ def marks_of(values: Array, turn: float = math.nan) -> list[float]:
             apart = np.abs(np.remainder(np.diff(seen)[edge] / turn + 0.5, 1.0) - 0.5) > 1.0 / 12.0
             whole = turn * (1.0 - 1e-9)
             times = len(seen) - len(others)
-            often = mark in (102.3, 1023.0) or times > max(RARE * len(seen), 1.0)
+            # nothing but a mark is said again and again so far from all that a speed passes through
+            least = max(RARE * len(seen), 1.0) if angle else 1.0
+            often = mark in (102.3, 1023.0) or times > least
             below = mark < 0.0 or (mark == 0.0 and often)
             turned = angle and ((below and others.min() >= 0.0) or mark >= whole >= others.max())
             turned &= (apart.mean() > 0.5 and times > 1) or abs(mark) > 13.0 / 12.0 * turn
             far = beyond > np.ptp(others) and often
-            if far or (not angle and mark < 0.0 <= others.min()) or turned:
+            negative = not angle and mark < 0.0 <= others.min() and (often or mark.is_integer())
+            if far or negative or turned:
                 found.append(float(mark))
                 seen = others
                 break

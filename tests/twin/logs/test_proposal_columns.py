@@ -655,3 +655,18 @@ def test_a_magnetic_heading_is_asked_for_its_variation(
     path = with_places(tmp_path / "a.csv", lambda k: f"{5419.0 + 1e-4 * k:.6f}", "E", heading)
     said = propose(path).text("a.csv")
     assert (f"# ? {heading}: from magnetic north?" in said) == asked
+
+
+@pytest.mark.parametrize("times", [2, 5, 40])
+def test_a_rare_mark_of_a_speed_is_no_value_and_noise_at_rest_is_one(
+    tmp_path: Path, times: int
+) -> None:
+    usual = foreign(tmp_path / "b.csv").read_text().splitlines()
+    place = usual[0].split(",").index("sog_kn")
+    cells = [line.split(",")[place] for line in usual[1:]]
+    rows = range(100, 100 + 3 * times, 3)
+    cells[7] = "-0.1"
+    file = foreign(tmp_path / "a.csv", sog_kn=lambda k: "1273.9" if k in rows else cells[k])
+    _, log = proposed(file)
+    lost = np.flatnonzero(np.isnan(log.z[:, 2]))
+    assert list(lost) == list(rows)

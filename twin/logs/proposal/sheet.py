@@ -161,7 +161,9 @@ def put(
     """Take a column, and add the line that makes a column of the log of it."""
     if name in columns.marks:
         numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
-        found.questions.append(f"{name}: {numbers} is far from all others, and taken as no value")
+        verb = "is" if len(columns.marks[name]) == 1 else "are"
+        what = f"{verb} far from all others, and taken as no value"
+        found.questions.append(f"{name}: {numbers} {what}")
     add_line(
         found, table, entry(target, columns.take(name), unit, marked(columns, name, more), why)
     )
