@@ -86,7 +86,7 @@ def check_command(
     }
     if write is not None:
         checks = [check_log(log, mapping, boats.get(log)) for log in logs]
-        known = {} if ship is None and waiting else boats
+        known = {} if waiting else boats  # the file that is written anew is that of the boat
         missing = _write(write, checks, {in_use[log]: boat for log, boat in known.items()})
         if not missing:
             boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
