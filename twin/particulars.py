@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -445,7 +446,10 @@ class Particulars:
             _refuse_degrees(table.get("instruments"))
             return cls.from_tables(about, table.get("instruments", {}), table.get("deck", {}))
         except (ParticularsError, BoatPriorError) as error:
-            raise ParticularsError(f"{path}: {error}") from None
+            commented = re.search(r"(?m)^# \w+ = \?", path.read_text(encoding="utf-8"))
+            missing = commented and "missing key" in str(error)
+            remedy = "; fill them in, and remove the # before them" if missing else ""
+            raise ParticularsError(f"{path}: {error}{remedy}") from None
 
     @classmethod
     def from_tables(cls, particulars: Any, instruments: Any, deck: Any = None) -> Particulars:

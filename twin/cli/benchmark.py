@@ -39,6 +39,7 @@ from twin.cli.common import (
     WindOption,
     console,
     errors,
+    keep_format,
     parse_list,
     parse_predictors,
     parse_seeds,
@@ -197,6 +198,8 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
+    keep_format(latex, "--latex")
+    keep_format(csv, "--csv")
     check_backend(backend)
     asked = () if predictors is None else parse_predictors(predictors)
     names, notes = available(asked or tuple(PREDICTORS))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -75,7 +76,7 @@ def check_command(
     """
     keep_file(write, force, "--write")
     one_run(logs, {"--out": picture, "--json": json_file})
-    failed, said = False, set[str]()
+    failed, said, missing = False, set[str](), list[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
     waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
     boats = {
@@ -85,7 +86,9 @@ def check_command(
     }
     if write is not None:
         checks = [check_log(log, mapping, boats.get(log)) for log in logs]
-        if _write(write, checks, [*boats.values()]):
+        known = {} if waiting else boats  # the file that is written anew is that of the boat
+        missing = _write(write, checks, {in_use[log]: boat for log, boat in known.items()})
+        if not missing:
             boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
     for log in logs:
         boat = boats.get(log)
@@ -94,11 +97,16 @@ def check_command(
         print_check(found)
         verdict: Verdict | None = None
         if boat is None:
-            note(
-                "whether a twin may be trusted needs the particulars of the boat: --write FILE "
-                "writes them as far as the log shows them, then fill in length, beam, draft and "
-                "mass there; or name the boat with --ship"
+            remedy = (
+                "--write FILE writes what the log shows of them; or name the boat with --ship"
+                if write is None
+                else f"fill in {', '.join(missing)} in {write}, remove the # before them, and name "
+                f"it with --ship {write}"
+                if missing
+                else f"--ship {write}"
             )
+            text = f"whether a twin may be trusted needs the particulars of the boat: {remedy}"
+            print_notes([text], said)
         elif found.log is None:
             note("no twin can run over this log until its errors are mended")
         elif not no_twin:
@@ -129,22 +137,33 @@ def _is_renewed(path: Path, in_use: Path) -> bool:
     return path.resolve() == in_use.resolve() and _are_particulars(path)
 
 
-def _write(path: Path, checks: Sequence[LogCheck], boats: Sequence[Particulars]) -> bool:
-    """Write the particulars of a boat as its logs show them, and return whether all is known.
+def _write(path: Path, checks: Sequence[LogCheck], boats: Mapping[Path, Particulars]) -> list[str]:
+    """Write the particulars of a boat as its logs show them, and return the keys still to fill in.
 
-    What a user wrote by hand into the file that is replaced stays.
+    What a user wrote by hand stays: in the files of ``boats``, and in the one that is replaced.
     """
-    several = {dataclasses.replace(boat, name="").to_toml() for boat in boats}
-    if len(several) > 1:
+    text, kept = checks[0].particulars_text(checks[1:]), ""
+    sources = {
+        str(file): file.read_text(encoding="utf-8")
+        if _are_particulars(file) and boat.prior is None  # its path counts from that folder
+        else boat.to_toml()
+        for file, boat in boats.items()
+    }
+    several = [tomllib.loads(renewed(text, source)[0]) for source in sources.values()]
+    for tables in several:
+        tables["particulars"].pop("name")
+    if any(tables != several[0] for tables in several):
         raise OptionError(
-            f"--write {path}: beside the logs are particulars of {len(several)} boats; name the "
+            f"--write {path}: beside the logs are particulars of several boats; name the "
             "logs of one boat, or their boat with --ship"
         )
-    text, kept = checks[0].particulars_text(next(iter(boats), None), checks[1:]), ""
+    first = dict(list(sources.items())[:1])
     if _are_particulars(path):
-        text, by_hand = renewed(text, path.read_text(encoding="utf-8"))
+        first[str(path)] = path.read_text(encoding="utf-8")
+    for file, source in first.items():
+        text, by_hand = renewed(text, source)
         found = f"{', '.join(by_hand)}, written by hand" if by_hand else "nothing"
-        kept = f"; kept of the file before: {found}"
+        kept += f"; kept of {file}: {found}"
     write_text(path, text)
     console.print(f"particulars: {path}{kept}", soft_wrap=True)
-    return " = ?" not in text
+    return re.findall(r"(?m)^# (\w+) = \?", text)

@@ -258,6 +258,12 @@ def keep_file(path: Path | None, force: bool, option: str = "--out") -> None:
         raise OptionError(f"{path}: is there already; choose another {option}, or --force")
 
 
+def keep_format(path: Path | None, option: str) -> None:
+    """Refuse a name that ends as a file of another format than the text of an option."""
+    if path is not None and path.suffix.lower() in (".xlsx", ".xls", ".parquet", ".json"):
+        raise OptionError(f"{path}: {option} writes no {path.suffix}; choose another ending")
+
+
 def one_run(logs: Sequence[Path], options: Mapping[str, object]) -> None:
     """Refuse options that are for one log, where there are several."""
     given = [name for name, value in options.items() if value is not None]

@@ -150,14 +150,17 @@ def estimate_instruments(
 def pooled(
     shown: Sequence[tuple[Instruments, dict[str, str]]],
 ) -> tuple[Instruments, dict[str, str]]:
-    """Return what logs of one boat show, each of :func:`estimate_instruments`: the medians."""
+    """Return what logs of one boat show, each of :func:`estimate_instruments`: the medians.
+
+    What no log shows is as usual.
+    """
     values, reasons = dict[str, Any](), dict[str, str]()
     for key in dict.fromkeys(key for _, why in shown for key in why):
         found = [(getattr(one, key), why[key]) for one, why in shown if key in why]
         values[key] = float(f"{np.median([value for value, _ in found]):.3g}")
         several = f", median of {len(found)} logs" if len(found) > 1 else ""
         reasons[key] = f"{found[0][1]}{several}"
-    return dataclasses.replace(shown[0][0], **values), reasons
+    return Instruments(**values), reasons
 
 
 def typical_boat(recording: Recording, instruments: Instruments) -> Particulars:
@@ -182,31 +185,29 @@ def particulars_text(
     recordings: Sequence[Recording],
     instruments: Instruments,
     reasons: dict[str, str],
-    particulars: Particulars | None = None,
 ) -> str:
-    """Return the text of a particulars file, with instruments estimated from its logs.
+    """Return the text of a particulars file, with what its logs show.
+
+    The keys that no log shows stand as comments to fill in, and the file is refused until that is
+    done; :func:`renewed` adds what is known of the boat.
 
     Parameters
     ----------
     recordings : sequence of Recording
         The logs.
     instruments, reasons
-        Of :func:`estimate_instruments` or :func:`pooled`.
-    particulars : Particulars, optional
-        Of the boat. Without them the keys that no log shows stand as comments to fill in, and
-        the file is refused until that is done.
+        Of :func:`pooled`.
     """
-    boats = [particulars or typical_boat(each, instruments) for each in recordings]
+    boats = [typical_boat(each, instruments) for each in recordings]
     boat, names = max(boats, key=lambda one: one.speed), ", ".join(each.name for each in recordings)
-    if particulars is None:
-        steering = "drives" if any(one.steering == "drives" for one in boats) else boat.steering
-        seen = {"speed": f"upper quartile of {boat.name}", "shaft_speed": "at that speed and above"}
-        reasons = reasons | seen | {"steering": "by the angles in the log"}
-        boat = dataclasses.replace(boat, name=boats[0].name, steering=steering)
+    steering = "drives" if any(one.steering == "drives" for one in boats) else boat.steering
+    seen = {"speed": f"upper quartile of {boat.name}", "shaft_speed": "at that speed and above"}
+    reasons = reasons | seen | {"steering": "by the angles in the log"}
+    boat = dataclasses.replace(boat, name=boats[0].name, steering=steering)
     lines = []
-    for line in dataclasses.replace(boat, instruments=instruments).to_toml().splitlines():
+    for line in boat.to_toml().splitlines():
         key = line.partition(" = ")[0]
-        if particulars is None and key in ("length", "beam", "draft", "mass"):
+        if key in ("length", "beam", "draft", "mass"):
             lines.append(f"# {key} = ?  # fill in")
         else:
             lines.append(f"{line} {MARK}{reasons[key]}" if key in reasons else line)
@@ -215,7 +216,7 @@ def particulars_text(
 
 
 def renewed(text: str, old: str) -> tuple[str, list[str]]:
-    """Return a particulars file with what a user wrote by hand in the file that it replaces.
+    """Return a particulars file with what a user wrote by hand in the file of the boat.
 
     That is each line of the old file without :data:`MARK`. Instruments that the log shows are kept
     only where they were changed in a file of ``usv-twin check``.

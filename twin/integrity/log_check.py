@@ -122,21 +122,17 @@ class LogCheck:
         """Return how many findings are of a severity."""
         return sum(finding.severity == severity for finding in self.findings)
 
-    def particulars_text(
-        self, particulars: Particulars | None = None, others: Sequence[LogCheck] = ()
-    ) -> str:
-        """Return a particulars file with the instruments as the log shows them.
+    def particulars_text(self, others: Sequence[LogCheck] = ()) -> str:
+        """Return a particulars file as the log shows them; the rest is left to fill in.
 
         Parameters
         ----------
-        particulars : Particulars, optional
-            Of the boat; without them length, beam, draft and mass are left to fill in.
         others : sequence of LogCheck
             Of more logs of the same boat: then the instruments are medians.
         """
         checks = (self, *others)
         shown = pooled([(each.instruments, each.reasons) for each in checks])
-        return particulars_text([each.recording for each in checks], *shown, particulars)
+        return particulars_text([each.recording for each in checks], *shown)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything as plain numbers and texts; NaN becomes None."""

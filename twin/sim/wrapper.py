@@ -297,6 +297,11 @@ def resolved(observation: str | Sequence[str]) -> tuple[str, Sequence[str | Scal
         raise UsvTwinError(
             f"observation = {observation!r}{hint}; known: {known}, or a list of entries"
         )
+    for name in observation:
+        if name in OBSERVATIONS:
+            raise UsvTwinError(
+                f"observation: there is no entry {name!r}; for the set, write observation={name!r}"
+            )
     return set_of(list(observation)), [SCALED.get(name, name) for name in observation]
 
 

@@ -42,6 +42,13 @@ def test_tables_and_pictures_are_written_and_results_reused(tmp_path):
     assert {**results, "command": ""} == {**now, "command": ""}
 
 
+def test_text_is_not_written_under_an_ending_of_another_format(tmp_path):
+    for option, name in (("--csv", "r.xlsx"), ("--latex", "r.json")):
+        said = run(option, tmp_path / name, code=2).stderr
+        assert option in said and name in said
+    assert not list(tmp_path.iterdir())
+
+
 class Raises(Persistence):
     """A predictor with a fault."""
 

@@ -202,3 +202,41 @@ def test_a_file_of_another_kind_is_one_clear_line(tmp_path, content):
     found = run("check", path, "--no-picture", check=None)
     assert found.exit_code in (1, 2)
     assert "error: " in found.output and "Traceback" not in found.output
+
+
+def test_only_what_was_written_by_hand_in_the_file_of_the_boat_is_kept(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    a, b, new = (tmp_path / name for name in ("a.csv", "b.csv", "new.toml"))
+    log.write(a)
+    log.write(b)
+    quiet = ("--no-twin", "--no-picture", "--force", "--write")
+    boat = (folder / "run.toml").read_text()
+    hand = re.sub("(?m)^speed = .*", "speed = 0.5", boat)
+    tagged = re.sub("(?m)^(speed|shaft_speed) = .*", r"\1 = 0.5  # log: x", boat)
+    file = a.with_suffix(".toml")
+    file.write_text(hand)
+    out = run("check", a, *quiet, new, check=None).stdout
+    assert Particulars.load(new).speed == 0.5
+    assert re.search(r"kept of \S*a\.toml: [^;]*\bspeed\b[^;]*, written by hand", out)
+    new.unlink()
+    file.write_text(tagged)
+    run("check", a, *quiet, new, check=None)
+    computed = Particulars.load(new)
+    assert computed.speed > 0.5 and re.search("(?m)^speed = .*# log: ", new.read_text())
+    # a file of another log gives nothing to the one that is written anew
+    b.with_suffix(".toml").write_text(hand)
+    run("check", a, b, *quiet, file, check=None)
+    assert Particulars.load(file).speed == computed.speed
+    assert re.search("(?m)^shaft_speed = .*# log: ", file.read_text())
+
+
+def test_what_is_missing_is_said_once(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    logs = [tmp_path / f"{name}.csv" for name in "ab"]
+    for path in logs:
+        log.write(path)
+    quiet, new = ("--no-twin", "--no-picture"), tmp_path / "a.toml"
+    out = run("check", *logs, *quiet, "--write", new, check=None).stdout
+    assert out.count("fill in length, beam, draft, mass") == 1 and "--write" not in out
+    said = run("check", logs[0], *quiet, check=2).stderr
+    assert "length, beam, draft, mass; fill them in, and remove the # before them" in said

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.cli.pictures import draw_check
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
+from twin.integrity.instruments import renewed
 from twin.integrity.log_check import LogCheck, check_recording
 from twin.logs.datasets import known_ship
 from twin.logs.log import Log, read_table
@@ -468,7 +469,8 @@ def test_written_particulars_are_read_back(tmp_path: Path) -> None:
     log, boat = sound(*RUNS["usv75"])
     check = check_recording(recording(log), boat)
     path = tmp_path / "boat.toml"
-    path.write_text(check.particulars_text(boat), encoding="utf-8")
+    text, _ = renewed(check.particulars_text(), boat.to_toml())
+    path.write_text(text, encoding="utf-8")
     back = Particulars.load(path)
     assert dataclasses.replace(back, instruments=boat.instruments) == boat
     assert back.instruments == check.instruments

@@ -166,6 +166,7 @@ def test_wrong_lists_are_refused() -> None:
         ([], "one entry or more"),
         (["yaw_rate", "yaw_rate"], "none twice"),
         (["twin_surg"], "twin_surg"),
+        (["raw"], "for the set, write observation='raw'"),
         (["twin_surge", "true_surge"], "no set has all"),
         ("compacted", "compacted.*or a list"),
         ([1], "or a list"),
