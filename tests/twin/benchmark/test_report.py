@@ -217,6 +217,8 @@ def test_each_bar_has_its_number_beside_it_also_one_that_is_cut():
     for ax in picture.axes:
         shown = [text for text in ax.texts if text.get_text()]
         assert sorted(t.get_text() for t in shown) == ["0.500", "1.00", "1.00", "25.0", "25.0"]
+        arrows = [line for line in ax.lines if line.get_marker() == ">"]
+        assert len(arrows) == sum(float(t.get_text()) > ax.get_xlim()[1] for t in shown) == 2
         for text in shown:
             box = text.get_window_extent()
             assert picture.bbox.x0 <= box.x0 and box.x1 <= picture.bbox.x1

@@ -46,13 +46,15 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     """Draw the mean absolute errors with 95 % intervals over boats, the best predictor on top.
 
     ``rows`` are those of ``results["verdict"]``. The panels show persistence in full, and cut what
-    is longer; the number stands at the end.
+    is longer, which ends in an arrow; the number stands at the end.
     """
     names = list(dict.fromkeys(row["predictor"] for row in rows))
     of = {(row["predictor"], row["loss"]): row for row in rows}
     losses = [loss for loss in LOSSES if any(row["loss"] == loss for row in rows)]
     entries = [(patch(BLACK, LOSSES[loss][1]), LOSSES[loss][0]) for loss in losses]
-    about, mosaic = "mean over scenarios and boats, 95 % intervals", [[panel] for panel in ERRORS]
+    drawn = any(number_of(row, f"{panel}_low") >= 0.0 for row in rows for panel in ERRORS)
+    about = "mean over scenarios and boats" + (", 95 % intervals" if drawn else "")
+    mosaic = [[panel] for panel in ERRORS]
     size = (WIDTH, 2.0 * (0.3 * len(names) + 0.7))
     fig, axes = new_figure("Errors after 10 s", about, entries, mosaic, size)
     for panel, title in ERRORS.items():
@@ -75,7 +77,9 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
             for bar, v, end in zip(bars, value, np.fmin(np.fmax(value, high), limit), strict=True):
                 at = end, bar.get_y() + 0.5 * bar.get_height()
                 text = "" if np.isnan(v) else f"{v:#.3g}".rstrip(".")
-                ax.annotate(text, at, (3, 0), textcoords="offset points", va="center", fontsize=9)
+                if v > limit:
+                    ax.plot(*at, ">", color=BLACK, markersize=7, clip_on=False)
+                ax.annotate(text, at, (6, 0), textcoords="offset points", va="center", fontsize=9)
         ax.set_ylim(len(names), -0.2)
         ax.set_xlim(0.0, limit)
         ax.set_yticks(np.arange(len(names)) + 0.4, names, parse_math=False)
