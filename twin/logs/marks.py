@@ -43,7 +43,11 @@ def marks_of(values: Array, turn: float = math.nan) -> list[float]:
             least = max(RARE * len(seen), 1.0) if angle else 1.0
             often = mark in (102.3, 1023.0) or times > least
             below = mark < 0.0 or (mark == 0.0 and often)
-            turned = angle and ((below and others.min() >= 0.0) or mark >= whole >= others.max())
+            # 359.996 is 360 once it is rounded, and of 511 and 999 both may be there
+            full = turn * (1.0 + 1e-9)
+            wide = mark > full and len(np.unique(others[others > full])) < 3
+            whole_turn = mark >= whole >= others.max()
+            turned = angle and ((below and others.min() >= 0.0) or whole_turn or wide)
             turned &= (apart.mean() > 0.5 and times > 1) or abs(mark) > 13.0 / 12.0 * turn
             far = beyond > np.ptp(others) and often
             negative = not angle and mark < 0.0 <= others.min() and (often or mark.is_integer())

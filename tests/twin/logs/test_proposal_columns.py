@@ -16,6 +16,7 @@ from twin.cli.main import app
 from twin.integrity.log_check import check_log
 from twin.logs.errors import LogError
 from twin.logs.log import Log
+from twin.logs.marks import marks_of
 from twin.logs.proposal.header_words import other_side
 from twin.logs.proposal.propose import propose
 
@@ -670,3 +671,15 @@ def test_a_rare_mark_of_a_speed_is_no_value_and_noise_at_rest_is_one(
     _, log = proposed(file)
     lost = np.flatnonzero(np.isnan(log.z[:, 2]))
     assert list(lost) == list(rows)
+
+
+@pytest.mark.parametrize("marks", [{511.0: 40}, {999.0: 9}, {511.0: 5, 999.0: 30}])
+def test_marks_of_a_heading_are_found_beside_one_that_is_rounded_to_a_turn(marks) -> None:
+    rng = np.random.default_rng(0)
+    heading = np.round(np.cumsum(rng.normal(0.5, 0.3, 3000)) % 360.0, 2)
+    heading[7] = 360.0
+    at = iter(rng.permutation(np.arange(10, 3000)).tolist())
+    for mark, times in marks.items():
+        heading[[next(at) for _ in range(times)]] = mark
+    assert marks_of(heading, 360.0) == sorted(marks)
+    assert marks_of(np.unwrap(heading, period=360.0) * 3.0, 360.0) == []
