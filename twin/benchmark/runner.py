@@ -39,7 +39,7 @@ from twin.benchmark.motion_scores import (
     quiet_rows,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
-from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
+from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, as_measured, score, table_of
 from twin.benchmark.sources import predictor_digest, versions
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
@@ -105,6 +105,7 @@ def run_unit(
     last_command = commands_end(run.reference)
     end = last_command - HORIZONS[-1]
     lost = lost_gps(settings, unit, run)
+    fix_sd = run.particulars.instruments.gps_sd if reference.measured else 0.0
     loss_ends = losses_to_score(seen.t, lost, reference)
     ended: list[dict[str, float]] = []
     held = RecordedPersistence(run.reference, reference, unit.log) if unit.log else None
@@ -120,7 +121,7 @@ def run_unit(
         # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
         if row in loss_ends:
-            ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference))
+            ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference, fix_sd))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -143,7 +144,10 @@ def run_unit(
                 raise BenchmarkError(
                     f"{unit.predictor}, run {unit.run}, plan {plan}, origin t = {t:.2f} s: {error}"
                 ) from error
-            scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
+            compared = (
+                as_measured(prediction, run.particulars) if reference.measured else prediction
+            )
+            scores[plan].append(score(compared, truth, STUDY_HORIZONS))
             if motion_truth is not None and prediction.motion is not None:
                 motions[plan].append(motion_truth.score(prediction.motion))
             if not all(math.isfinite(part.sum()) for part in scores[plan][-1]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from scipy.special import erf
 
 from twin.benchmark.protocol import HORIZONS, BenchmarkError
 from twin.logs.log import Log
+from twin.particulars import Particulars
 from twin.predictors.base import Z90, Prediction
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "STUDY_HORIZONS",
     "Reference",
     "Score",
+    "as_measured",
     "crps",
     "score",
     "table_of",
@@ -78,6 +81,7 @@ class Reference:
     """What predictions are scored against: the truth, or measured positions and headings."""
 
     def __init__(self, log: Log) -> None:
+        self.measured = log.truth is None
         if log.truth is not None:
             self.t, self.columns = [log.t] * 6, list(log.truth.T.copy())
             self.columns[2] = np.unwrap(self.columns[2])
@@ -95,7 +99,7 @@ class Reference:
 
     def known(self, times: Array) -> bool:
         """Return whether there are samples near all of some times."""
-        for t in self.t[-1 if len(self.t) == 6 else 0 :]:
+        for t in self.t[0 if self.measured else -1 :]:
             reach = MAX_GAP * max(0.5, float(np.median(np.diff(t))) if len(t) > 1 else 0.0)
             after = np.searchsorted(t, times).clip(max=len(t) - 1)
             distance = np.minimum(
@@ -110,6 +114,23 @@ class Reference:
         return np.stack(
             [np.interp(times, t, c) for t, c in zip(self.t, self.columns, strict=True)], axis=1
         )
+
+
+def as_measured(prediction: Prediction, particulars: Particulars) -> Prediction:
+    """Return the prediction of what the sensors will measure: its covariance and R, their noise.
+
+    Where fixes and headings stand for the truth, it is this that they are scored against.
+    """
+    on_board = particulars.instruments
+    cov, low, high = (a.copy() for a in (prediction.cov, prediction.low, prediction.high))
+    # displacement: noise of two fixes, at start and end
+    for i in (0, 1):
+        cov[:, i, i] += 2.0 * on_board.gps_sd**2
+    more = (Z90 * on_board.compass_sd) ** 2
+    down, up = prediction.mean[:, 2] - low[:, 2], high[:, 2] - prediction.mean[:, 2]
+    low[:, 2] = prediction.mean[:, 2] - np.sqrt(down**2 + more)
+    high[:, 2] = prediction.mean[:, 2] + np.sqrt(up**2 + more)
+    return dataclasses.replace(prediction, cov=cov, low=low, high=high)
 
 
 class Score(NamedTuple):

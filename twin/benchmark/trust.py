@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.benchmark.loading import measured_truth
 from twin.benchmark.protocol import BenchmarkError
-from twin.benchmark.scores import Reference, score
+from twin.benchmark.scores import Reference, as_measured, score
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigator import Navigator
@@ -29,7 +29,7 @@ from twin.model.priors import kind_of, scaled_prior
 from twin.model.structure import ENVIRONMENT
 from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
-from twin.predictors.base import Z90, Estimate, ParametersInUse, Prediction
+from twin.predictors.base import Estimate, ParametersInUse
 from twin.predictors.baselines import hold_velocity
 from twin.predictors.registry import DEFAULT
 from twin.sim.oracle import check_simulator
@@ -384,7 +384,7 @@ class TrustMeter:
         truth = self._reference.at(times)
         plan, dt = self._plan(row, HORIZON_S)
         prediction = self.twin.predictor.predict(plan, dt)
-        own = score(_with_noise(prediction, self.particulars), truth, (HORIZON_S,))
+        own = score(as_measured(prediction, self.particulars), truth, (HORIZON_S,))
         error = float(own.displacement[0]), abs(float(own.error[0, -1]))
         covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
         state = self._navigator.state
@@ -807,17 +807,3 @@ def _coverage_bound(seconds: float) -> float:
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:
     return np.asarray(np.sqrt(np.mean(np.square(pairs), axis=0)), dtype=np.float64)
-
-
-def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
-    """Return a prediction of what sensors will measure: their noise is added to the intervals."""
-    on_board = particulars.instruments
-    cov, low, high = (a.copy() for a in (prediction.cov, prediction.low, prediction.high))
-    # position: noise of two fixes, at start and end
-    for i in (0, 1):
-        cov[:, i, i] += 2.0 * on_board.gps_sd**2
-    more = (Z90 * on_board.compass_sd) ** 2
-    down, up = prediction.mean[:, 2] - low[:, 2], high[:, 2] - prediction.mean[:, 2]
-    low[:, 2] = prediction.mean[:, 2] - np.sqrt(down**2 + more)
-    high[:, 2] = prediction.mean[:, 2] + np.sqrt(up**2 + more)
-    return dataclasses.replace(prediction, cov=cov, low=low, high=high)

@@ -38,14 +38,17 @@ def losses_to_score(
     return ends
 
 
-def score_loss_end(estimate: Estimate, length: float, reference: Reference) -> dict[str, float]:
+def score_loss_end(
+    estimate: Estimate, length: float, reference: Reference, fix_sd: float = 0.0
+) -> dict[str, float]:
     """Return what an estimate at the end of a loss is worth.
 
     ``error_m`` is the error of the position, ``said_m`` the radius of the circle that is to hold it
-    in 90 % of all cases, by the estimate's own standard deviations.
+    in 90 % of all cases, by the estimate's own standard deviations and, where a fix stands for the
+    truth, by that of a fix, ``fix_sd`` (m).
     """
     true = reference.at(np.array([estimate.t]))[0, :2]
-    variance = float(np.mean(np.square(estimate.sd[:2])))
+    variance = float(np.mean(np.square(estimate.sd[:2]))) + fix_sd**2
     return {
         "t_s": estimate.t,
         "length_s": length,
