@@ -15,32 +15,35 @@ from typing import Any
 from twin.channels import AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT, MOTION_END
 from twin.motion.linear import correct, fade, propagate, turn_covariance
 from twin.motion.state import (
-    ACCEL_TIME,
+    ACCEL_BIAS_TIME_S,
     AHRS_ERROR,
-    AHRS_WHITE,
+    AHRS_WHITE_SHARE,
     ANGLE,
     CLIMB,
-    CORNER,
-    CORNER_RANGE,
+    CLIMB_TIMEOUT_S,
     GRAVITY_ERROR,
-    GYRO_TIME,
+    GYRO_BIAS_TIME_S,
     HEAVE,
+    HEAVE_CORNER_MAX_RADPS,
+    HEAVE_CORNER_MIN_RADPS,
+    HEAVE_CORNER_SHARE,
+    HEAVE_FORGETTING_S,
+    HEIGHT_BIAS_TIME_S,
     HEIGHT_ERROR,
-    HEIGHT_TIME,
-    INNOVATION_MEMORY,
-    INNOVATION_TIME,
+    INNOVATION_FORGETTING_S,
+    INNOVATION_MEAN_S,
+    LATE_FIX_ROWS,
     LIFT_BIAS,
-    MEMORY,
     N_TILT,
-    NO_FIX,
     RATE_BIAS,
-    RATE_POWER,
-    RING,
-    SLOW_HEAVE,
-    WAVE_ACCEL,
-    WAVE_ACCEL_RANGE,
-    WAVE_LEAK,
-    WAVE_WINDOW,
+    RATE_DERIVATIVE_RMS_RADPS2,
+    RATE_RMS_RADPS,
+    SLOW_HEAVE_SD_M,
+    WAVE_ACCEL_MAX_MPS2,
+    WAVE_ACCEL_MIN_MPS2,
+    WAVE_ACCEL_MPS2,
+    WAVE_FREQUENCY_TIME_S,
+    WAVE_SPEED_LEAK_S,
     wave_density,
 )
 from twin.particulars import GRAVITY
@@ -49,71 +52,73 @@ from usv_kernel.channels import GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
-__all__ = ["HELD", "is_measured", "take_attitude"]
+__all__ = ["HOLD_MAX_S", "is_measured", "take_attitude"]
 
-RATE_MEMORY = 60.0
-RATE_ROWS = 100.0
-"""How fast a boat rolls and pitches is learned over such a time, s; the first guess is worth so
-many rows."""
+RATE_FORGETTING_S = 60.0
+RATE_PRIOR_ROWS = 100.0
+"""Time constant of the mean squares of the rates of roll and pitch, and weight of their first
+guess in rows."""
 
-TURN_SD = 0.1
-"""Rate of turn of a boat whose gyro is silent, rad/s, times the root of the time it lasts, s."""
+SILENT_GYRO_SD = 0.1
+"""Root of the spectral density of the rate of a boat whose gyro is silent, rad/s times root s."""
 
-LIFT_SD = 2.0
-"""Vertical acceleration of a boat whose accelerometer is silent, m/s2."""
+SILENT_ACCEL_SD_MPS2 = 2.0
+"""Standard deviation of the vertical acceleration of a boat whose accelerometer is silent."""
 
-UNKNOWN_ACCEL = 1.0
-"""Horizontal acceleration of a boat whose velocity is not known, m/s2."""
+UNKNOWN_ACCEL_MPS2 = 1.0
+"""Horizontal acceleration of a boat whose velocity is not known."""
 
-UNKNOWN_DENSITY = wave_density(UNKNOWN_ACCEL)
-"""Spectral density of the angle that gravity shows then, rad2 s ..."""
+UNKNOWN_DENSITY = wave_density(UNKNOWN_ACCEL_MPS2)
+"""Spectral density of the error of the angle that gravity shows then, rad2 s ..."""
 
-FIRST_DENSITY = wave_density(WAVE_ACCEL)
-"""... at the start, where velocity is known ..."""
+FIRST_DENSITY = wave_density(WAVE_ACCEL_MPS2)
+"""... where velocity is known, before innovations show it ..."""
 
-DENSITY_RANGE = wave_density(WAVE_ACCEL_RANGE[0]), wave_density(WAVE_ACCEL_RANGE[1])
-"""... and its range, whatever the innovations show."""
+DENSITY_MIN = wave_density(WAVE_ACCEL_MIN_MPS2)
+DENSITY_MAX = wave_density(WAVE_ACCEL_MAX_MPS2)
+"""... and its bounds."""
 
-GATE = 6.0
-"""Samples that are more standard deviations away are refused ..."""
-
+GATE_SD = 6.0
 REFUSALS_MAX = 40.0
-"""... but no more than these in a row."""
+"""Gate of the innovation in standard deviations, and refusals in a row after which it opens."""
 
-SURPRISE_SAMPLES = 10.0
-SURPRISE_MAX = 9.0
-SURPRISE_CALM = 2.0
-SURPRISE_LIMIT = 25.0
-"""Gyro and AHRS contradict each other where the mean square of so many innovations of the AHRS is
-so many times what it should be, and no longer below the next number. The last is the most that a
-single one counts, as of a spike."""
+NIS_SAMPLES = 10.0
+"""Samples over which the normalised innovation squared (NIS) of the AHRS is averaged."""
+
+NIS_MAX = 9.0
+NIS_CLEAR = 2.0
+"""Mean NIS from which on gyro and AHRS contradict each other, and below which they agree again."""
+
+NIS_CLIP = 25.0
+"""Largest NIS that counts of one sample."""
 
 SUSPECT_NONE, SUSPECT_GYRO, SUSPECT_AHRS, SUSPECT_BOTH = range(4)
 
-OWN_TIME = 10.0
-SQUARE_TIME = 2.0
-TILT_MARGIN = math.radians(2.0)
-"""Roll and pitch by gyros alone are held to gravity with the first time, s. Over the second, the
-mean squares of how far they and the AHRS are from gravity differ by the square of the third (rad),
-where one is in doubt."""
+GRAVITY_TIME_S = 10.0
+"""Time constant with which roll and pitch by gyros alone follow gravity."""
 
-LIMITS = (10.0, 10.0, 100.0, 1.4, 1.4, 1e6, 50.0)
-"""Sizes that no valid sample of the motion channels reaches: rad/s, m/s2, rad, m, m/s."""
+GRAVITY_ERROR_TIME_S = 2.0
+TILT_MARGIN_RAD = math.radians(2.0)
+"""Time constant of the mean squares of how far they and the AHRS are from gravity, and root of the
+difference from which on the further one is in doubt."""
 
-FORCE_MAX = 100.0
+CHANNEL_LIMITS = (10.0, 10.0, 100.0, 1.4, 1.4, 1e6, 50.0)
+"""Sizes that no valid sample reaches, by motion channel: rad/s, m/s2, rad, m, m/s."""
+
+FORCE_MAX_MPS2 = 100.0
 """The same of the other accelerometers, m/s2."""
 
-GAP = 1.0
-"""A longer time between rows is a gap, s: the filters begin again."""
+GAP_S = 1.0
+"""Time between rows after which the filters begin again."""
 
-HELD = 0.2
-"""A missing sample of the IMU is bridged by the last one for this long, s."""
+HOLD_MAX_S = 0.2
+"""Time for which the last sample of the IMU stands for a missing one."""
 
-MIXED = 0.3
-"""A dead gyro counts for a rate of the boat that holds more than this part of it."""
+AXIS_SHARE_MIN = 0.3
+"""Direction cosine from which on an axis of the IMU counts for one of the boat."""
 
-START_SD = 0.2
-"""Roll and pitch of a boat of which nothing is known, rad."""
+START_SD_RAD = 0.2
+"""Standard deviation of roll and pitch of a boat of which nothing is known."""
 
 
 @kernel
@@ -131,7 +136,7 @@ def _start(memory, given):
     memory.tilt[:, :] = 0.0
     memory.P[:, :] = 0.0
     for k in range(0, 2 * N_TILT, N_TILT):
-        memory.P[k + ANGLE, k + ANGLE] = START_SD**2
+        memory.P[k + ANGLE, k + ANGLE] = START_SD_RAD**2
         memory.P[k + RATE_BIAS, k + RATE_BIAS] = given.gyro_bias**2
         memory.P[k + AHRS_ERROR, k + AHRS_ERROR] = given.ahrs**2
         memory.P[k + GRAVITY_ERROR, k + GRAVITY_ERROR] = (given.accel_bias / GRAVITY) ** 2
@@ -144,15 +149,15 @@ def _start(memory, given):
     memory.rate[:] = 0.0
     memory.turning[:] = 0.0
     memory.turned[:] = 0.0
-    memory.rate_power[:, 0] = RATE_POWER[0]
-    memory.rate_power[:, 1] = RATE_POWER[1]
+    memory.rate_power[:, 0] = RATE_RMS_RADPS**2
+    memory.rate_power[:, 1] = RATE_DERIVATIVE_RMS_RADPS2**2
     memory.force[0], memory.force[1], memory.force[2] = 0.0, 0.0, -GRAVITY
     memory.lift = memory.wave_speed = 0.0
     memory.wave_power[:] = 0.0
     memory.velocity[:] = math.nan
     memory.innovation[:, 0] = 0.0
     memory.innovation[:, 1] = FIRST_DENSITY
-    memory.surprise[:] = memory.own[:] = 0.0
+    memory.nis[:] = memory.own[:] = 0.0
     memory.by_gravity[:, :] = memory.doubted[:, :] = 0.0
     memory.rows = 0.0
 
@@ -162,9 +167,9 @@ def _fresh(z, dt, memory, k):
     """Return whether motion channel k has a new and plausible sample, and note its age."""
     value = z[MOTION_AT + k]
     # the same bits again are no new sample: the instrument is slower than the log, or hangs
-    new = math.isfinite(value) and value != memory.last[k] and abs(value) < LIMITS[k]
+    new = math.isfinite(value) and value != memory.last[k] and abs(value) < CHANNEL_LIMITS[k]
     memory.ages[k] = 0.0 if new else memory.ages[k] + dt
-    if abs(value) < LIMITS[k]:
+    if abs(value) < CHANNEL_LIMITS[k]:
         memory.last[k] = value
     return new
 
@@ -174,7 +179,7 @@ def _note_planar(z, dt, memory):
     """Note which of the axes of the IMU that every log has are new."""
     all_new = True
     for k in range(3):
-        value, limit = z[GYRO + k], LIMITS[0] if k == 0 else FORCE_MAX
+        value, limit = z[GYRO + k], CHANNEL_LIMITS[0] if k == 0 else FORCE_MAX_MPS2
         new = value != memory.planar[k] and abs(value) < limit
         all_new = all_new and new
         memory.planar_ages[k] = 0.0 if new else memory.planar_ages[k] + dt
@@ -194,15 +199,15 @@ def _find_suspect(error, var, k, memory):
     P, i, j = memory.P, k * N_TILT + ANGLE, k * N_TILT + AHRS_ERROR
     total = var + P[i, i] + 2.0 * P[i, j] + P[j, j]
     square = error * error / total
-    memory.surprise[k] += (min(square, SURPRISE_LIMIT) - memory.surprise[k]) / SURPRISE_SAMPLES
-    if ahrs > gyro + TILT_MARGIN**2:
+    memory.nis[k] += (min(square, NIS_CLIP) - memory.nis[k]) / NIS_SAMPLES
+    if ahrs > gyro + TILT_MARGIN_RAD**2:
         return SUSPECT_AHRS
     # a gyro in doubt stays so until nothing speaks against it
     before = memory.doubted[k, 0] > 0.0
-    if memory.surprise[k] <= (SURPRISE_CALM if before else SURPRISE_MAX):
+    if memory.nis[k] <= (NIS_CLEAR if before else NIS_MAX):
         return SUSPECT_NONE
-    more = (max(memory.surprise[k], square) - 1.0) * total
-    if gyro > ahrs + (0.0 if before else TILT_MARGIN**2):
+    more = (max(memory.nis[k], square) - 1.0) * total
+    if gyro > ahrs + (0.0 if before else TILT_MARGIN_RAD**2):
         P[i, i] += more
         return SUSPECT_GYRO
     P[i, i] += 0.5 * more
@@ -219,14 +224,14 @@ def _count_refused(used, memory, k):
 @inlined
 def _remember(t, memory):
     """Note attitude and vertical speed for fixes that come late."""
-    row = memory.ring[int(memory.rows) % RING]
+    row = memory.ring[int(memory.rows) % LATE_FIX_ROWS]
     row[0], row[1], row[2], row[3] = (
         t,
         memory.tilt[0, ANGLE],
         memory.tilt[1, ANGLE],
         memory.vertical[CLIMB],
     )
-    turned = memory.turned_ring[int(memory.rows) % RING]
+    turned = memory.turned_ring[int(memory.rows) % LATE_FIX_ROWS]
     turned[0], turned[1] = memory.turned[0], memory.turned[1]
     memory.rows += 1.0
 
@@ -237,12 +242,12 @@ def _rows_about(t, now, memory):
 
     The row of ``now`` is not in the ring yet: its place is -1.
     """
-    newest, kept = int(memory.rows) - 1, min(int(memory.rows), RING)
+    newest, kept = int(memory.rows) - 1, min(int(memory.rows), LATE_FIX_ROWS)
     back = 0
-    while back < kept - 1 and memory.ring[(newest - back) % RING, 0] > t + 1e-6:
+    while back < kept - 1 and memory.ring[(newest - back) % LATE_FIX_ROWS, 0] > t + 1e-6:
         back += 1
-    place = (newest - back) % RING
-    later = (place + 1) % RING if back > 0 else -1
+    place = (newest - back) % LATE_FIX_ROWS
+    later = (place + 1) % LATE_FIX_ROWS if back > 0 else -1
     before, after = memory.ring[place, 0], memory.ring[later, 0] if back > 0 else now
     share = (t - before) / (after - before) if after > before else 1.0
     return place, later, min(max(share, 0.0), 1.0)
@@ -296,9 +301,9 @@ def take_attitude(t, dt, z, velocity, memory, given):
     given : record of ``ATTITUDE_SETTINGS``
         Errors and places of the sensors.
     """
-    if memory.rows == 0.0 or not 0.0 < dt <= GAP:
+    if memory.rows == 0.0 or not 0.0 < dt <= GAP_S:
         _start(memory, given)
-    dt = min(max(dt, 0.0), GAP)
+    dt = min(max(dt, 0.0), GAP_S)
     silent = _age_of(0, memory, given) > 0.0, _age_of(1, memory, given) > 0.0
     has_p, has_q = _fresh(z, dt, memory, 0), _fresh(z, dt, memory, 1)
     has_lift = _fresh(z, dt, memory, 2)
@@ -314,8 +319,10 @@ def take_attitude(t, dt, z, velocity, memory, given):
             if late > 0.0 and memory.rows > 0.0:
                 # compared with the angle of then: what is known now, less what was turned since
                 error += _turned_since(t - late, t, k, memory)
-            gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
-            var = (AHRS_WHITE * given.ahrs) ** 2
+            gate = (
+                math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE_SD
+            )
+            var = (AHRS_WHITE_SHARE * given.ahrs) ** 2
             doubted = _find_suspect(error, var, k, memory)
             gate = 0.0 if doubted == SUSPECT_AHRS else math.inf if doubted != SUSPECT_NONE else gate
             for i in range(2):
@@ -332,10 +339,10 @@ def take_attitude(t, dt, z, velocity, memory, given):
 @inlined
 def _lost_rates(memory, given):
     """Return whether the gyros that show the rates of roll and of pitch are silent for long."""
-    M, dead_x, dead_y = given.mounting, memory.ages[0] > HELD, memory.ages[1] > HELD
+    M, dead_x, dead_y = given.mounting, memory.ages[0] > HOLD_MAX_S, memory.ages[1] > HOLD_MAX_S
     return (
-        (dead_x and abs(M[0, 0]) > MIXED) or (dead_y and abs(M[0, 1]) > MIXED),
-        (dead_x and abs(M[1, 0]) > MIXED) or (dead_y and abs(M[1, 1]) > MIXED),
+        (dead_x and abs(M[0, 0]) > AXIS_SHARE_MIN) or (dead_y and abs(M[0, 1]) > AXIS_SHARE_MIN),
+        (dead_x and abs(M[1, 0]) > AXIS_SHARE_MIN) or (dead_y and abs(M[1, 1]) > AXIS_SHARE_MIN),
     )
 
 
@@ -347,15 +354,15 @@ def _integrate(dt, z, has, silent, turn, memory, given):
     """
     has_p, has_q, has_lift = has
     before, rate, M = memory.rate, memory.rate, given.mounting
-    lost_r = memory.planar_ages[0] > HELD
-    has_r = abs(z[GYRO]) < LIMITS[0] and not lost_r
+    lost_r = memory.planar_ages[0] > HOLD_MAX_S
+    has_r = abs(z[GYRO]) < CHANNEL_LIMITS[0] and not lost_r
     old = before[0], before[1], before[2]
     # a missing axis shows the last rate for a while, then none, of the boat's axes in its own
-    dead_x, dead_y = memory.ages[0] > HELD, memory.ages[1] > HELD
+    dead_x, dead_y = memory.ages[0] > HOLD_MAX_S, memory.ages[1] > HOLD_MAX_S
     last = (
         memory.tilt[0, RATE_BIAS] + (0.0 if dead_x or dead_y else old[0]),
         memory.tilt[1, RATE_BIAS] + (0.0 if dead_x or dead_y else old[1]),
-        turn if lost_r and abs(turn) < LIMITS[0] else 0.0 if lost_r else old[2],
+        turn if lost_r and abs(turn) < CHANNEL_LIMITS[0] else 0.0 if lost_r else old[2],
     )
     raw = (
         z[GYRO_X] if has_p else _seen(M, last[0], last[1], last[2], 0),
@@ -397,10 +404,10 @@ def _integrate(dt, z, has, silent, turn, memory, given):
         else:
             _learn_power(dt, k, memory)
         if lost_r:  # roll becomes pitch, and pitch roll, as the boat turns
-            P[at, at] += TURN_SD**2 * (tilt[other] ** 2 + P[other, other]) * dt
-        fade(tilt, P, at + RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
+            P[at, at] += SILENT_GYRO_SD**2 * (tilt[other] ** 2 + P[other, other]) * dt
+        fade(tilt, P, at + RATE_BIAS, GYRO_BIAS_TIME_S, dt, given.gyro_bias)
         fade(tilt, P, at + AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
-        fade(tilt, P, at + GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
+        fade(tilt, P, at + GRAVITY_ERROR, ACCEL_BIAS_TIME_S, dt, given.accel_bias / GRAVITY)
     _move_force(z, has_lift, memory, given)
 
 
@@ -410,7 +417,7 @@ def _age_of(k, memory, given):
     age, M = 0.0, given.mounting
     for i in range(3):
         silent = memory.planar_ages[0] if i == 2 else memory.ages[i]
-        age = max(age, silent) if abs(M[k, i]) > MIXED else age
+        age = max(age, silent) if abs(M[k, i]) > AXIS_SHARE_MIN else age
     return age
 
 
@@ -429,7 +436,7 @@ def _unseen(dt, age, lost, power):
 @inlined
 def _learn_power(dt, k, memory):
     """Learn how fast roll or pitch changes, and how fast that does."""
-    share = max(min(dt / RATE_MEMORY, 1.0), 1.0 / (memory.rows + RATE_ROWS))
+    share = max(min(dt / RATE_FORGETTING_S, 1.0), 1.0 / (memory.rows + RATE_PRIOR_ROWS))
     power = memory.rate_power[k]
     power[0] += share * (memory.rate[k] ** 2 - power[0])
     power[1] += share * (memory.turning[k] ** 2 - power[1])
@@ -463,16 +470,16 @@ def _move_force(z, has_lift, memory, given):
     """Note the specific force of the origin, in the boat's axes."""
     force, M, ages = memory.force, given.mounting, memory.planar_ages
     has_x, has_y = ages[1] == 0.0, ages[2] == 0.0
-    dead = ages[1] > HELD or ages[2] > HELD or memory.ages[2] > HELD
+    dead = ages[1] > HOLD_MAX_S or ages[2] > HOLD_MAX_S or memory.ages[2] > HOLD_MAX_S
     if dead or has_x or has_y or has_lift:
         s, c = sincos(memory.tilt[0, ANGLE])
         d, e = sincos(memory.tilt[1, ANGLE])
         # a missing axis shows the last force for a while, then gravity alone
         g = GRAVITY * d, -GRAVITY * s * e, -GRAVITY * c * e
         x, y, low = _arm_force(memory.rate, memory.turning, given.imu_arm)
-        a = memory.planar[1] if ages[1] <= HELD else _seen(M, g[0], g[1], g[2], 0)
-        b = memory.planar[2] if ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 1)
-        down = memory.last[2] if memory.ages[2] <= HELD else _seen(M, g[0], g[1], g[2], 2)
+        a = memory.planar[1] if ages[1] <= HOLD_MAX_S else _seen(M, g[0], g[1], g[2], 0)
+        b = memory.planar[2] if ages[2] <= HOLD_MAX_S else _seen(M, g[0], g[1], g[2], 1)
+        down = memory.last[2] if memory.ages[2] <= HOLD_MAX_S else _seen(M, g[0], g[1], g[2], 2)
         force[0] = _turned(M, a, b, down, 0) - x
         force[1] = _turned(M, a, b, down, 1) - y
         force[2] = _turned(M, a, b, down, 2) - low
@@ -483,7 +490,7 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
     """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
     before, u, v = memory.velocity, velocity[0], velocity[1]
     ages = memory.planar_ages
-    turns = ages[0] <= HELD or abs(velocity[2]) < LIMITS[0]
+    turns = ages[0] <= HOLD_MAX_S or abs(velocity[2]) < CHANNEL_LIMITS[0]
     if ages[1] == 0.0 and ages[2] == 0.0 and turns and dt > 0.0:
         f, r, theta = memory.force, memory.rate[2], memory.tilt[1]
         known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
@@ -500,18 +507,18 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
             error = shown - tilt[seen[0]] - tilt[seen[1]]
             # what lasts for seconds counts as often as it is new
             density = _learn_density(error, dt, memory.innovation[k]) if known else UNKNOWN_DENSITY
-            correct(tilt, memory.P, seen, error, density / dt, GATE)
+            correct(tilt, memory.P, seen, error, density / dt, GATE_SD)
     before[0], before[1] = u, v
 
 
 @inlined
 def _hold_own(shown, dt, k, memory):
     """Hold the tilt by gyros alone to gravity, and note how far it and the AHRS are from it."""
-    share, squares = min(dt / SQUARE_TIME, 1.0), memory.by_gravity[k]
+    share, squares = min(dt / GRAVITY_ERROR_TIME_S, 1.0), memory.by_gravity[k]
     squares[0] += share * ((shown - memory.own[k]) ** 2 - squares[0])
-    if memory.ages[3 + k] < HELD:
+    if memory.ages[3 + k] < HOLD_MAX_S:
         squares[1] += share * ((shown - memory.last[3 + k]) ** 2 - squares[1])
-    memory.own[k] += min(dt / OWN_TIME, 1.0) * (shown - memory.own[k])
+    memory.own[k] += min(dt / GRAVITY_TIME_S, 1.0) * (shown - memory.own[k])
 
 
 @inlined
@@ -521,10 +528,10 @@ def _learn_density(error, dt, kept):
     Averaged over a time T, white noise of density S has the variance S / 2T.
     Source: Mehra 1970 (noise covariances from innovations).
     """
-    kept[0] += min(dt / INNOVATION_TIME, 1.0) * (error - kept[0])
-    share = min(dt / INNOVATION_MEMORY, 1.0)
-    kept[1] += share * (2.0 * INNOVATION_TIME * kept[0] * kept[0] - kept[1])
-    kept[1] = min(max(kept[1], DENSITY_RANGE[0]), DENSITY_RANGE[1])
+    kept[0] += min(dt / INNOVATION_MEAN_S, 1.0) * (error - kept[0])
+    share = min(dt / INNOVATION_FORGETTING_S, 1.0)
+    kept[1] += share * (2.0 * INNOVATION_MEAN_S * kept[0] * kept[0] - kept[1])
+    kept[1] = min(max(kept[1], DENSITY_MIN), DENSITY_MAX)
     return kept[1]
 
 
@@ -535,21 +542,21 @@ def _rise(dt, has_lift, memory, given):
     s, c = sincos(memory.tilt[0, ANGLE])
     d, e = sincos(memory.tilt[1, ANGLE])
     lift = e * (s * f[1] + c * f[2]) - d * f[0] + GRAVITY - x[LIFT_BIAS]
-    lost = memory.ages[2] > HELD
+    lost = memory.ages[2] > HOLD_MAX_S
     lift = 0.0 if lost else lift
     memory.lift = lift
-    power, share = memory.wave_power, min(dt / WAVE_WINDOW, 1.0)
-    memory.wave_speed += dt * (lift - memory.wave_speed / WAVE_LEAK)
+    power, share = memory.wave_power, min(dt / WAVE_FREQUENCY_TIME_S, 1.0)
+    memory.wave_speed += dt * (lift - memory.wave_speed / WAVE_SPEED_LEAK_S)
     power[0] += share * (memory.wave_speed**2 - power[0])
     power[1] += share * (lift * lift - power[1])
     x[HEAVE] += dt * x[CLIMB] + 0.5 * dt * dt * lift
     x[CLIMB] += dt * lift
     propagate(P, (dt, -0.5 * dt * dt, -dt))
-    density = LIFT_SD**2 * 0.5 if lost else given.accel**2 * dt
+    density = SILENT_ACCEL_SD_MPS2**2 * 0.5 if lost else given.accel**2 * dt
     P[CLIMB, CLIMB] += density * dt
-    fade(x, P, LIFT_BIAS, ACCEL_TIME, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
-    fade(x, P, HEIGHT_ERROR, HEIGHT_TIME, dt, given.height_bias)
-    fade(x, P, HEAVE, MEMORY, dt, SLOW_HEAVE)
+    fade(x, P, LIFT_BIAS, ACCEL_BIAS_TIME_S, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
+    fade(x, P, HEIGHT_ERROR, HEIGHT_BIAS_TIME_S, dt, given.height_bias)
+    fade(x, P, HEAVE, HEAVE_FORGETTING_S, dt, SLOW_HEAVE_SD_M)
 
 
 @inlined
@@ -565,18 +572,18 @@ def _hold_to_fix(t, dt, z, memory, given):
         p, q = memory.rate[0], memory.rate[1]
         arm = p * b - q * a
         error = z[GPS_VZ] - speed - arm
-        gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE
+        gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE_SD
         used = correct(x, P, (CLIMB, CLIMB), error, given.climb**2, gate)
         _count_refused(used, memory, 6)
     if has_z:
         arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
         error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
-        gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
+        gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE_SD
         used = correct(x, P, (HEAVE, HEIGHT_ERROR), error, given.height**2, gate)
         _count_refused(used, memory, 5)
-    if memory.ages[6] > NO_FIX and dt > 0.0:
+    if memory.ages[6] > CLIMB_TIMEOUT_S and dt > 0.0:
         power = memory.wave_power
-        corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
-        corner = min(max(corner, CORNER_RANGE[0]), CORNER_RANGE[1])
+        corner = HEAVE_CORNER_SHARE * math.sqrt(power[1] / max(power[0], 1e-12))
+        corner = min(max(corner, HEAVE_CORNER_MIN_RADPS), HEAVE_CORNER_MAX_RADPS)
         var = given.accel**2 / corner**4
         correct(x, P, (HEAVE, HEAVE), -x[HEAVE], var, math.inf)

@@ -32,7 +32,7 @@ from twin.motion.state import (
     ATTITUDE_SETTINGS,
     CLIMB,
     HEAVE,
-    NEVER,
+    NO_SAMPLE_AGE_S,
     attitude_settings,
     initial_attitude,
 )
@@ -77,18 +77,16 @@ MOTION_WORK = np.dtype(
 )
 """Scratch; one serves many boats."""
 
-BRIDGED = 1.0
-"""A channel that is silent for longer is reported, s."""
-
-NOTED = 3.0
-"""A channel that is silent for longer is noted, s: slow instruments are not."""
+REPORT_AFTER_S = 1.0
+NOTE_AFTER_S = 3.0
+"""Silence of a channel from which on it is reported now, and noted of the run."""
 
 _SILENT = "{} has been silent or unchanged for {:.1f} s; the others bridge it"
 
-_REFUSED = 10.0
+_REFUSED_MIN = 10.0
 
-READY = 5
-"""Compared forecasts after which intervals and probabilities can be taken at their word."""
+VERIFIED_MIN = 5
+"""Verified forecasts from which on intervals and probabilities say something."""
 
 _ROWS = field_at(MOTION, "attitude") + field_at(ATTITUDE, "rows")
 
@@ -419,7 +417,7 @@ class DeckMotion:
             mean=work["mean"].copy(),
             sd=np.sqrt(np.maximum(work["var"], 0.0)),
             quiet=work["quiet"].copy(),
-            ready=bool(self.record["forecast"]["n_errors"] >= READY),
+            ready=bool(self.record["forecast"]["n_errors"] >= VERIFIED_MIN),
         )
 
     def sea(self) -> SeaEstimate | None:
@@ -434,16 +432,16 @@ class DeckMotion:
         So it is with the horizontal accelerometers. Channels that never had a sample are not
         named: a boat need not have them.
         """
-        found = self._suspected(BRIDGED)
+        found = self._suspected(REPORT_AFTER_S)
         for name, refused in zip(MOTION_CHANNELS, self.record["attitude"]["refused"], strict=True):
-            if refused > _REFUSED:
+            if refused > _REFUSED_MIN:
                 why = f"{name} contradicts the other sensors"
                 found.setdefault(name, ("doubtful", 0.0, why))
         return found
 
     def lasting_troubles(self) -> dict[str, tuple[str, float, str]]:
-        """Return the same of channels that are silent or in doubt for longer than :data:`NOTED`."""
-        return self._suspected(NOTED) if self.active else {}
+        """Return the same of channels in trouble for longer than :data:`NOTE_AFTER_S`."""
+        return self._suspected(NOTE_AFTER_S) if self.active else {}
 
     def _suspected(self, beyond: float) -> dict[str, tuple[str, float, str]]:
         """Return status, age and reason of channels silent or in doubt for so long, s."""
@@ -458,7 +456,7 @@ class DeckMotion:
     def _silent(self, beyond: float) -> dict[str, tuple[float, str]]:
         """Return age and reason of each channel without a new sample for so long, s."""
         ages, last = self.memory[_AGES], self.memory[_LAST]
-        late = (ages > beyond) & (ages < NEVER)
+        late = (ages > beyond) & (ages < NO_SAMPLE_AGE_S)
         if not late.any():  # this runs in every row
             return {}
         late &= np.isfinite(last)

@@ -14,21 +14,21 @@ from __future__ import annotations
 import math
 
 from twin.motion.forecast_state import (
-    ERRORS,
+    ERROR_LEFT,
+    FIT_PRIOR_TICKS,
     HEAVE_CHANNEL,
     HORIZONS,
-    LAGS,
     N_CHANNELS,
+    N_ERRORS,
     N_HORIZONS,
+    N_LAGS,
     N_QUIET,
     PITCH,
     PRIOR_SD,
-    PRIOR_TIME,
+    PRIOR_TIME_S,
     QUIET_CHANNELS,
     QUIET_SPANS,
-    STAYS,
-    TRUST_TICKS,
-    UNSURE,
+    UNSURE_SHARE,
 )
 from twin.motion.learning import apply_fit, leak_variance, skill, write_features
 from twin.motion.state import ANGLE, HEAVE
@@ -43,9 +43,9 @@ def _variance(memory, k):
     n, s, noise = memory.verifications, skill(memory, k), memory.noise[k // N_HORIZONS]
     a, c, b = memory.verified[0, k], memory.verified[1, k], memory.verified[2, k]
     seen = max(b - 2.0 * s * c + s * s * a, 0.0)
-    var = (n * seen + TRUST_TICKS * memory.fit_var[k]) / (n + TRUST_TICKS)
+    var = (n * seen + FIT_PRIOR_TICKS * memory.fit_var[k]) / (n + FIT_PRIOR_TICKS)
     # against estimates, whose errors are in both
-    return max(var + (2.0 * s * memory.gain[k] * STAYS[k] - 1.0) * noise, 0.5 * noise)
+    return max(var + (2.0 * s * memory.gain[k] * ERROR_LEFT[k] - 1.0) * noise, 0.5 * noise)
 
 
 @kernel
@@ -63,7 +63,7 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
         Written: means and variances in the order of :data:`CHANNELS`.
     """
     row = int(memory.rows) - 1
-    ready = memory.is_fit > 0.0 and row - (LAGS - 1) * int(given.lag) >= 0
+    ready = memory.is_fit > 0.0 and row - (N_LAGS - 1) * int(given.lag) >= 0
     if ready:
         write_features(row, int(given.lag), memory, work.features)
         apply_fit(memory, work.features, work.targets)
@@ -82,7 +82,7 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
         m = memory.moments[0, c]
         spread = max(memory.moments[1, c] - m * m, 0.0)
         prior = PRIOR_SD[c] ** 2
-        spread = (seconds * spread + PRIOR_TIME * prior) / (seconds + PRIOR_TIME)
+        spread = (seconds * spread + PRIOR_TIME_S * prior) / (seconds + PRIOR_TIME_S)
         for h in range(N_HORIZONS):
             k = c * N_HORIZONS + h
             if ready:
@@ -113,10 +113,10 @@ def quiet_probabilities(mean, var, memory, given, out):
     out : ndarray, shape (3,)
         Written.
     """
-    count = min(int(memory.n_errors), ERRORS)
+    count = min(int(memory.n_errors), N_ERRORS)
     for c in range(3):
         channel, limit = QUIET_CHANNELS[c], given.limits[c]
-        if var[0, channel] > (UNSURE * limit) ** 2:
+        if var[0, channel] > (UNSURE_SHARE * limit) ** 2:
             count = 0  # errors against estimates that are worth little
     for s in range(len(QUIET_SPANS)):
         last = 0

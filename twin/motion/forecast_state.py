@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.motion.state import MEMORY as MEMORY_OF_HEAVE
+from twin.motion.state import HEAVE_FORGETTING_S
 from twin.particulars import Particulars
 from usv_kernel.records import record_size
 
@@ -42,22 +42,22 @@ HORIZONS = np.concatenate([np.arange(1, 13) * 0.25, np.arange(7, 11) * 0.5, np.a
 
 N_HORIZONS = len(HORIZONS)
 
-LAST = float(HORIZONS[-1])
+LONGEST_S = float(HORIZONS[-1])
 
 TARGETS = N_CHANNELS * N_HORIZONS
 
-LAGS = 16
+N_LAGS = 16
 """Samples of each signal that a forecast is made from ..."""
 
-LAG = 0.2
-LAG_LENGTH = 6.336
-"""... and the time between them, s, on a boat of this length (m). It grows with the root of it."""
+LAG_S = 0.2
+LAG_LENGTH_M = 6.336
+"""... and the time between them on a boat of this length: it grows with the root of it."""
 
-BASE = 0.05
-"""Time between the rows that are kept, s; more for ships."""
+BASE_STEP_S = 0.05
+"""Time between the rows that are kept; more for ships."""
 
-TICK = 4
-"""Of these rows one in so many is learned from."""
+TICK_ROWS = 4
+"""Rows between two that are learned from."""
 
 SIGNALS = 7
 """Roll, pitch, their rates, heave, vertical speed, vertical acceleration; the deck's vertical speed
@@ -69,61 +69,58 @@ PLACES = (0, 1, 4, 7)
 ERROR_PLACES = (0, 1, 4, 5)
 """... and the signal that holds the lasting error of the estimate of each."""
 
-N_FEATURES = LAGS * SIGNALS
+N_FEATURES = N_LAGS * SIGNALS
 
 N_TERMS = N_FEATURES + 1
 
-RING_ROWS = round(LAST / BASE) + TICK * LAGS
+RING_ROWS = round(LONGEST_S / BASE_STEP_S) + TICK_ROWS * N_LAGS
 
-PENALTY = 0.01
-"""Of the ridge, in units of the features' own energy."""
+RIDGE = 0.01
+"""Penalty of the ridge regression, over the variance of the features."""
 
-MEMORY = 60.0
-"""Time after which what was learned weighs a third, s."""
+FORGETTING_S = 60.0
+"""Time constant with which samples of the regression are forgotten."""
 
-REFIT = 10.0
-"""Time between fits, s."""
+REFIT_S = 10.0
+"""Time between fits."""
 
-LEARNED = 25.0
-"""Time of data before the first fit, s."""
+FIRST_FIT_S = 25.0
+"""Time of data before the first fit."""
 
-VERIFIED = 60.0
-"""Time after which a verified error weighs a third, s."""
+VERIFIED_FORGETTING_S = 60.0
+"""Time constant with which verified errors are forgotten."""
 
-TRUST_TICKS = 60.0
-"""So many ticks does the error of a fit on its own data count, beside the verified ones."""
+FIT_PRIOR_TICKS = 60.0
+"""Prior weight of the error of a fit on its own data beside verified ones, in ticks."""
 
-FIT_SHARE = 0.5
-"""Share of the features that a fit is taken to use up."""
+FREEDOM_SHARE = 0.5
+"""Effective degrees of freedom of a fit over the number of features."""
 
 PRIOR_SD = (0.05, 0.05, 0.2, 0.3)
-"""Standard deviation of each channel before it is known: rad, rad, m, m/s ..."""
+"""Prior standard deviation by channel: rad, rad, m, m/s."""
 
-PRIOR_TIME = 3.0
-"""... which counts as so many seconds of data."""
+PRIOR_TIME_S = 3.0
+"""Prior weight of that, as time of data."""
 
-HEEL_TIME = 2.0
-HEEL_MEMORY = 300.0
-"""Heel and trim are compared with means of this time, over this time, s."""
+HEEL_MEAN_S = 2.0
+HEEL_FORGETTING_S = 300.0
+"""Time constants of the means of heel and trim, and of the regression on accelerations."""
 
-HEEL = (-0.2, 0.0)
-HEEL_SD = (0.3, 0.1)
-"""Roll and pitch for an acceleration of 1 g to starboard and forward, before any data, rad."""
+HEEL_PRIOR = (-0.2, 0.0)
+HEEL_PRIOR_SD = (0.3, 0.1)
+"""Prior mean and standard deviation of roll and pitch, rad, for an acceleration of 1 g to starboard
+and forward."""
 
-HEEL_NOISE = 0.02
-"""What else lets a mean angle wander, rad ..."""
+HEEL_NOISE_RAD = 0.02
+HEEL_NOISE_S = 5.0
+"""Standard deviation and correlation time of the mean angle in that regression."""
 
-HEEL_SAMPLE = 5.0
-"""... for so long, s."""
+N_ERRORS = 64
+ERROR_PERIOD_S = 1.6
+"""Past forecasts whose errors make the probability of a quiet deck, and the time between them."""
 
-ERRORS = 64
-"""Forecasts whose errors are kept for the probability of a quiet deck, the newest ..."""
-
-ERROR_PERIOD = 1.6
-"""... and the time between them, s."""
-
-UNSURE = 0.5
-"""A channel whose present standard deviation is this share of its limit is hardly measured."""
+UNSURE_SHARE = 0.5
+"""Present standard deviation over the limit from which on a channel is hardly measured."""
 
 QUIET_SPANS = (2.0, 3.0, 5.0)
 """Times for which the deck may stay quiet, s."""
@@ -131,20 +128,21 @@ QUIET_SPANS = (2.0, 3.0, 5.0)
 N_QUIET = int(np.searchsorted(HORIZONS, QUIET_SPANS[-1])) + 1
 """Horizons within them."""
 
-ERROR_TIMES = (10.0, 10.0, MEMORY_OF_HEAVE, 1.0)
-"""How long an error of the estimate of each channel lasts, s."""
+ERROR_TIMES_S = (10.0, 10.0, HEAVE_FORGETTING_S, 1.0)
+"""Correlation time of the error of the estimate, by channel."""
 
-STAYS = np.exp(-HORIZONS / np.array(ERROR_TIMES)[:, None]).ravel()
+ERROR_LEFT = np.exp(-HORIZONS / np.array(ERROR_TIMES_S)[:, None]).ravel()
 """Share of such an error that is left at each horizon."""
 
-HEAVE_LEAK = (0.06, 0.6)
+HEAVE_LEAK_GNSS = 0.06
+HEAVE_LEAK_ALONE = 0.6
 CLIMB_LEAK = 0.15
-"""Share of the heave that the filter leaves out or shifts, with GNSS and without; the same of the
+"""Share of the heave that the filter leaves out or shifts, with GNSS and without, and of the
 vertical speed without."""
 
 QUIET_CHANNELS = (ROLL, PITCH, DECK_SPEED)
 
-STEPS = round(LAST / (TICK * BASE))
+STEPS = round(LONGEST_S / (TICK_ROWS * BASE_STEP_S))
 
 FORECAST = np.dtype(
     [
@@ -170,7 +168,7 @@ FORECAST = np.dtype(
         ("made_means", "f8", (STEPS, TARGETS)),
         ("verified", "f8", (3, TARGETS)),  # mean squares: forecast, forecast times truth, truth
         ("verifications", "f8"),  # how many ticks these stand for
-        ("errors", "f8", (ERRORS, 3, N_QUIET)),  # of QUIET_CHANNELS
+        ("errors", "f8", (N_ERRORS, 3, N_QUIET)),  # of QUIET_CHANNELS
         ("n_errors", "f8"),
         ("noise", "f8", N_CHANNELS),  # variances of the estimates of the channels
         ("moments", "f8", (3, N_CHANNELS)),  # mean, mean square, and seconds of each channel
@@ -211,7 +209,7 @@ def initial_forecast() -> Array:
     record = memory.view(FORECAST)[0]
     record["t_before"] = record["speed"] = np.nan
     record["weight"] = 1.0
-    record["heel"] = HEEL
+    record["heel"] = HEEL_PRIOR
     record["made_at"] = -1.0
     return memory
 
@@ -220,9 +218,9 @@ def forecast_settings(particulars: Particulars) -> Array:
     """Return :data:`FORECAST_SETTINGS` of a boat as flat float64."""
     memory = np.zeros(record_size(FORECAST_SETTINGS))
     record = memory.view(FORECAST_SETTINGS)[0]
-    scale = math.sqrt(particulars.length / LAG_LENGTH)
-    base = BASE * max(round(scale), 1)
-    record["base"], record["lag"] = base, min(max(round(LAG * scale / base), 2), TICK)
+    scale = math.sqrt(particulars.length / LAG_LENGTH_M)
+    base = BASE_STEP_S * max(round(scale), 1)
+    record["base"], record["lag"] = base, min(max(round(LAG_S * scale / base), 2), TICK_ROWS)
     deck = particulars.deck
     record["deck"] = deck.point_of(particulars.length)
     record["limits"] = deck.max_tilt, deck.max_tilt, deck.max_speed

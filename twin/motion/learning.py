@@ -11,42 +11,43 @@ import math
 from twin.motion.forecast_state import (
     CLIMB_LEAK,
     DECK_SPEED,
-    ERROR_PERIOD,
+    ERROR_LEFT,
+    ERROR_PERIOD_S,
     ERROR_PLACES,
-    ERRORS,
-    FIT_SHARE,
+    FIRST_FIT_S,
+    FIT_PRIOR_TICKS,
+    FORGETTING_S,
+    FREEDOM_SHARE,
     HEAVE_CHANNEL,
-    HEAVE_LEAK,
-    HEEL,
-    HEEL_MEMORY,
-    HEEL_NOISE,
-    HEEL_SAMPLE,
-    HEEL_SD,
-    HEEL_TIME,
-    LAGS,
-    LAST,
-    LEARNED,
-    MEMORY,
+    HEAVE_LEAK_ALONE,
+    HEAVE_LEAK_GNSS,
+    HEEL_FORGETTING_S,
+    HEEL_MEAN_S,
+    HEEL_NOISE_RAD,
+    HEEL_NOISE_S,
+    HEEL_PRIOR,
+    HEEL_PRIOR_SD,
+    LONGEST_S,
     N_CHANNELS,
+    N_ERRORS,
     N_FEATURES,
     N_HORIZONS,
+    N_LAGS,
     N_QUIET,
     N_TERMS,
-    PENALTY,
     PITCH,
     PLACES,
     QUIET_CHANNELS,
-    REFIT,
+    REFIT_S,
+    RIDGE,
     RING_ROWS,
     SIGNALS,
-    STAYS,
     STEPS,
     TARGETS,
-    TICK,
-    TRUST_TICKS,
-    VERIFIED,
+    TICK_ROWS,
+    VERIFIED_FORGETTING_S,
 )
-from twin.motion.state import ANGLE, CLIMB, HEAVE, N_TILT, NO_FIX, RATE_BIAS
+from twin.motion.state import ANGLE, CLIMB, CLIMB_TIMEOUT_S, HEAVE, N_TILT, RATE_BIAS
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
@@ -81,22 +82,22 @@ def _learn_heel(dt, velocity, attitude, memory):
     if not (math.isfinite(u) and math.isfinite(memory.speed)) or dt <= 0.0:
         memory.speed = u
         return
-    share = min(dt / HEEL_TIME, 1.0)
+    share = min(dt / HEEL_MEAN_S, 1.0)
     for k in range(2):
         a = u * r / GRAVITY if k == 0 else (u - memory.speed) / dt / GRAVITY
         y = attitude.tilt[k, ANGLE]
         memory.smooth[0, k] += share * (y - memory.smooth[0, k])
         memory.smooth[1, k] += share * (a - memory.smooth[1, k])
         y, a, sums = memory.smooth[0, k], memory.smooth[1, k], memory.heel_sums[k]
-        fade = math.exp(-dt / HEEL_MEMORY)
+        fade = math.exp(-dt / HEEL_FORGETTING_S)
         for j in range(5):
             value = 1.0 if j == 0 else a if j == 1 else y if j == 2 else a * a if j == 3 else a * y
             sums[j] = fade * sums[j] + dt * value
-        var, n = HEEL_NOISE**2 * HEEL_SAMPLE, sums[0]
+        var, n = HEEL_NOISE_RAD**2 * HEEL_NOISE_S, sums[0]
         information = (sums[3] - sums[1] * sums[1] / n) / var
         seen = (sums[4] - sums[1] * sums[2] / n) / var
-        before = 1.0 / HEEL_SD[k] ** 2
-        memory.heel[k] = (HEEL[k] * before + seen) / (before + information)
+        before = 1.0 / HEEL_PRIOR_SD[k] ** 2
+        memory.heel[k] = (HEEL_PRIOR[k] * before + seen) / (before + information)
     memory.speed = u
 
 
@@ -116,7 +117,7 @@ def write_features(row, lag, memory, out):
     """Write 1 and the signals of the last seconds before a row of the ring."""
     out[0] = 1.0
     at = 1
-    for i in range(LAGS):
+    for i in range(N_LAGS):
         values = memory.ring[(row - i * lag) % RING_ROWS]
         for j in range(SIGNALS):
             out[at] = values[j]
@@ -172,7 +173,7 @@ def _fit(memory, work):
         row, out, m = memory.gram[i + 1], U[i], mean[i + 1] / total
         for j in range(i, n):
             out[j] = (row[j + 1] / total - m * mean[j + 1] / total) * scale[i + 1] * scale[j + 1]
-        out[i] += PENALTY
+        out[i] += RIDGE
         row, out = memory.cross[i + 1], B[i]
         for j in range(TARGETS):
             out[j] = (row[j] / total - m * first[j] / total) * scale[i + 1]
@@ -216,10 +217,10 @@ def _fit(memory, work):
     for k in range(TARGETS):
         j = ERROR_PLACES[k // N_HORIZONS]
         memory.gain[k] = 0.0
-        for i in range(LAGS):
+        for i in range(N_LAGS):
             memory.gain[k] += memory.coefficients[1 + i * SIGNALS + j, k]
     samples = total * total / memory.weights[1]
-    used = min(FIT_SHARE * n / samples, 0.75)
+    used = min(FREEDOM_SHARE * n / samples, 0.75)
     for k in range(TARGETS):
         m = first[k] / total
         whole = max(memory.squares[k] / total - m * m, 1e-12)
@@ -247,15 +248,15 @@ def _verify(tick, memory, targets, period):
     if note[0] != tick or note[1] == 0.0:
         return
     memory.verifications += 1.0
-    share = max(1.0 / memory.verifications, period / VERIFIED)
+    share = max(1.0 / memory.verifications, period / VERIFIED_FORGETTING_S)
     for k in range(TARGETS):
         a, b = made[k], targets[k] - means[k]
         memory.verified[0, k] += share * (a * a - memory.verified[0, k])
         memory.verified[1, k] += share * (a * b - memory.verified[1, k])
         memory.verified[2, k] += share * (b * b - memory.verified[2, k])
-    every = max(round(ERROR_PERIOD / period), 1)
+    every = max(round(ERROR_PERIOD_S / period), 1)
     if tick % every == 0:
-        errors = memory.errors[int(memory.n_errors) % ERRORS]
+        errors = memory.errors[int(memory.n_errors) % N_ERRORS]
         for c in range(3):
             first = QUIET_CHANNELS[c] * N_HORIZONS
             for h in range(N_QUIET):
@@ -270,11 +271,11 @@ def skill(memory, k):
 
     Forecast and what came after hold the same error of the estimate, which is no skill.
     """
-    shared = memory.gain[k] * STAYS[k] * memory.noise[k // N_HORIZONS]
+    shared = memory.gain[k] * ERROR_LEFT[k] * memory.noise[k // N_HORIZONS]
     worth = (memory.verified[1, k] - shared) / max(memory.verified[0, k], 1e-12)
     # until enough are verified, the fit itself counts
     n = memory.verifications
-    worth = (n * worth + TRUST_TICKS * memory.fit_worth[k]) / (n + TRUST_TICKS)
+    worth = (n * worth + FIT_PRIOR_TICKS * memory.fit_worth[k]) / (n + FIT_PRIOR_TICKS)
     return min(max(worth, 0.0), 1.0)
 
 
@@ -282,22 +283,25 @@ def skill(memory, k):
 def _tick(row, memory, given, work):
     """Learn from the motion that has become known, and note a forecast from now."""
     base, lag = given.base, int(given.lag)
-    period, tick = TICK * base, row // TICK
-    old = row - round(LAST / base)
-    if old - (LAGS - 1) * lag >= 0:
+    period, tick = TICK_ROWS * base, row // TICK_ROWS
+    old = row - round(LONGEST_S / base)
+    if old - (N_LAGS - 1) * lag >= 0:
         y = work.targets
         for h in range(N_HORIZONS):
             for c in range(N_CHANNELS):
                 j = PLACES[c]
                 y[c * N_HORIZONS + h] = _entry(memory, old + given.at[h], j)
-        _verify(old // TICK, memory, y, period)
+        _verify(old // TICK_ROWS, memory, y, period)
         write_features(old, lag, memory, work.features)
         _add_products(memory, work.features, y)
-        _fade(memory, math.exp(period / MEMORY))
+        _fade(memory, math.exp(period / FORGETTING_S))
         memory.fitted -= 1.0
-        if memory.weights[0] ** 2 / memory.weights[1] * period >= LEARNED and memory.fitted <= 0.0:
+        if (
+            memory.weights[0] ** 2 / memory.weights[1] * period >= FIRST_FIT_S
+            and memory.fitted <= 0.0
+        ):
             _fit(memory, work)
-            memory.fitted = max(round(REFIT / period), 1)
+            memory.fitted = max(round(REFIT_S / period), 1)
     place = tick % STEPS
     memory.made_at[place, 0] = tick
     memory.made_at[place, 1] = memory.is_fit
@@ -342,7 +346,7 @@ def take_motion(t, velocity, attitude, memory, given, work):
         for c in range(N_CHANNELS):
             y, moments = now[PLACES[c]], memory.moments
             moments[2, c] += dt
-            share = min(dt / min(moments[2, c], MEMORY), 1.0) if moments[2, c] > 0.0 else 1.0
+            share = min(dt / min(moments[2, c], FORGETTING_S), 1.0) if moments[2, c] > 0.0 else 1.0
             moments[0, c] += share * (y - moments[0, c])
             moments[1, c] += share * (y * y - moments[1, c])
     while memory.begun + memory.rows * base <= t + 1e-6:
@@ -356,7 +360,7 @@ def take_motion(t, velocity, attitude, memory, given, work):
                 else memory.before[j] + share * (now[j] - memory.before[j])
             )
         memory.rows += 1.0
-        if row % TICK == 0:
+        if row % TICK_ROWS == 0:
             _tick(row, memory, given, work)
     for j in range(SIGNALS + 1):
         memory.before[j] = now[j]
@@ -370,9 +374,9 @@ def leak_variance(c, attitude, memory):
     It leaves out slow motion and shifts the rest in time, much more so without GNSS.
     """
     heave, climb = memory.moments[1, HEAVE_CHANNEL], memory.moments[1, DECK_SPEED]
-    alone = attitude.ages[6] > NO_FIX
+    alone = attitude.ages[6] > CLIMB_TIMEOUT_S
     if c == HEAVE_CHANNEL:
-        share = HEAVE_LEAK[1] if alone else HEAVE_LEAK[0]
+        share = HEAVE_LEAK_ALONE if alone else HEAVE_LEAK_GNSS
         return share * share * heave
     return CLIMB_LEAK**2 * climb if c == DECK_SPEED and alone else 0.0
 

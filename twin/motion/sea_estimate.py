@@ -13,33 +13,41 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
-__all__ = ["DOUBTFUL", "SEA_MOMENTS", "SeaEstimate", "estimate_sea", "sea_of", "take_sea"]
+__all__ = [
+    "DIRECTION_SD_MAX_RAD",
+    "SEA_MOMENTS",
+    "SeaEstimate",
+    "estimate_sea",
+    "sea_of",
+    "take_sea",
+]
 
-MEMORY = 120.0
-"""Time after which a sample weighs a third, s."""
+FORGETTING_S = 120.0
+"""Time constant of the moments."""
 
-READY = 30.0
-"""Time of data before there is an estimate, s."""
+FIRST_ESTIMATE_S = 30.0
+"""Time of data before there is an estimate."""
 
-TINY = 1e-12
+MEAN_SQUARE_MIN = 1e-12
 """Mean squares below this show no waves, SI units."""
 
-COHERENT = 0.35
+COHERENCE_MIN = 0.35
 """Correlation of vertical speed and slope from which on it shows the direction."""
 
-LINE_SD = (math.radians(8.0), math.radians(13.0))
-"""What the boat's own motion adds to the error of the direction, rad: by vertical speed and slope,
-and by the slopes alone."""
+DIRECTION_SD_RAD = math.radians(8.0)
+LINE_SD_RAD = math.radians(13.0)
+"""What the boat's own motion adds to the error of the direction: by vertical speed and slope, and
+by the slopes alone."""
 
-BAND = 0.25
+BANDWIDTH = 0.25
 """Width of a spectrum, as a share of its frequency."""
 
 RATIO_SD = 0.35
 PHASE_SD = 0.5
 """Standard deviations of the logarithm of the frequency of encounter, and of that correlation."""
 
-DOUBTFUL = 1.0
-"""Standard deviation from which on a direction is not to be used, rad."""
+DIRECTION_SD_MAX_RAD = 1.0
+"""Standard deviation from which on a direction is not to be used."""
 
 SEA_MOMENTS = np.dtype(
     [
@@ -75,8 +83,8 @@ class SeaEstimate(NamedTuple):
 
     @property
     def direction_known(self) -> bool:
-        """Whether the direction is known well enough to be used: within :data:`DOUBTFUL`."""
-        return self.to_sd < DOUBTFUL
+        """Whether the direction is known to within :data:`DIRECTION_SD_MAX_RAD`."""
+        return self.to_sd < DIRECTION_SD_MAX_RAD
 
 
 @kernel
@@ -97,7 +105,7 @@ def take_sea(dt, heading, velocity, attitude, memory):
     if not (math.isfinite(velocity[0]) and math.isfinite(velocity[1]) and dt > 0.0):
         return
     memory.seconds += dt
-    share = min(dt / min(memory.seconds, MEMORY), 1.0)
+    share = min(dt / min(memory.seconds, FORGETTING_S), 1.0)
     phi, theta = attitude.tilt[0, ANGLE], attitude.tilt[1, ANGLE]
     z, w = attitude.vertical[HEAVE], attitude.vertical[CLIMB]
     s, c = sincos(heading)
@@ -133,13 +141,15 @@ def sea_of(memory):
     heave = memory.heave[1] - memory.heave[0] ** 2
     north, east = memory.slopes[0] - a * a, memory.slopes[1] - b * b
     slopes = north + east
-    if not (memory.seconds >= READY and min(heave, slopes, memory.climb) > TINY):
+    if not (
+        memory.seconds >= FIRST_ESTIMATE_S and min(heave, slopes, memory.climb) > MEAN_SQUARE_MIN
+    ):
         return math.nan, math.nan, math.nan, math.nan
     number = math.sqrt(slopes / heave)
     frequency, seen = math.sqrt(GRAVITY * number), math.sqrt(memory.climb / heave)
     size = math.sqrt(memory.climb * slopes)
     coherence = min(math.hypot(memory.cross[0], memory.cross[1]) / size, 1.0)
-    in_phase = coherence >= COHERENT
+    in_phase = coherence >= COHERENCE_MIN
     along = (
         math.atan2(memory.cross[1], memory.cross[0])
         if in_phase
@@ -151,9 +161,9 @@ def sea_of(memory):
     forth = _misfit(frequency, number * speed, seen, phase)
     back = _misfit(frequency, -number * speed, seen, -phase)
     to = along if forth <= back else along + math.pi
-    waves = min(memory.seconds, MEMORY) * seen / math.pi
-    var = (1.0 - coherence**2) / (2.0 * waves * max(coherence, COHERENT) ** 2)
-    var += LINE_SD[0] ** 2 if in_phase else LINE_SD[1] ** 2
+    waves = min(memory.seconds, FORGETTING_S) * seen / math.pi
+    var = (1.0 - coherence**2) / (2.0 * waves * max(coherence, COHERENCE_MIN) ** 2)
+    var += DIRECTION_SD_RAD**2 if in_phase else LINE_SD_RAD**2
     sure = 1.0 / (1.0 + math.exp(-0.5 * min(abs(forth - back), 60.0)))
     sd = math.sqrt(sure * var + (1.0 - sure) * math.pi**2)
     return 4.0 * math.sqrt(heave), 2.0 * math.pi / frequency, to % (2.0 * math.pi), sd
@@ -166,7 +176,7 @@ def _misfit(frequency, shift, seen, phase):
     ``shift`` (rad/s) is what the boat's own speed takes off the frequency of the waves, ``seen``
     (rad/s) that of the heave, ``phase`` the correlation of vertical speed and slope.
     """
-    met, width = frequency - shift, BAND * frequency
+    met, width = frequency - shift, BANDWIDTH * frequency
     ratio = math.log(seen / math.hypot(met, width)) / RATIO_SD
     side = (phase - math.tanh(met / width)) / PHASE_SD
     return ratio * ratio + side * side

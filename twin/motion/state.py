@@ -15,19 +15,19 @@ __all__ = [
     "ATTITUDE",
     "ATTITUDE_SETTINGS",
     "CLIMB",
-    "CORNER",
-    "CORNER_RANGE",
     "GRAVITY_ERROR",
     "HEAVE",
+    "HEAVE_CORNER_MAX_RADPS",
+    "HEAVE_CORNER_SHARE",
     "HEIGHT_ERROR",
+    "LATE_FIX_ROWS",
     "LIFT_BIAS",
-    "NEVER",
+    "NO_SAMPLE_AGE_S",
     "N_TILT",
     "N_VERTICAL",
     "RATE_BIAS",
-    "RATE_POWER",
-    "RING",
-    "SLOW_HEAVE",
+    "RATE_RMS_RADPS",
+    "SLOW_HEAVE_SD_M",
     "attitude_settings",
     "initial_attitude",
     "wave_density",
@@ -47,52 +47,54 @@ acceleration (m/s2), and error of the GNSS height (m)."""
 
 N_VERTICAL = 4
 
-RING = 64
-"""Rows that are kept for fixes that come late."""
+LATE_FIX_ROWS = 64
+"""Past rows that are kept for late fixes."""
 
-GYRO_TIME = 300.0
-ACCEL_TIME = 110.0
-HEIGHT_TIME = 400.0
+GYRO_BIAS_TIME_S = 300.0
+ACCEL_BIAS_TIME_S = 110.0
+HEIGHT_BIAS_TIME_S = 400.0
 """Time constants of the biases of gyros, accelerometers and GNSS height, s."""
 
-AHRS_WHITE = 0.1
-"""White part of the error of an AHRS, as a share of the whole."""
+AHRS_WHITE_SHARE = 0.1
+"""Standard deviation of the white part of an AHRS's error, as a share of the whole."""
 
-NEVER = 1e9
+NO_SAMPLE_AGE_S = 1e9
 """Age of a sample that has not come yet, s."""
 
-WAVE_ACCEL = 0.15
-WAVE_TIME = 0.5
-"""Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s;
-before the innovations show what it is ..."""
+WAVE_ACCEL_MPS2 = 0.15
+WAVE_ACCEL_MIN_MPS2 = 0.03
+WAVE_ACCEL_MAX_MPS2 = 0.6
+"""Horizontal acceleration in waves that velocities do not show: at the start, and its bounds
+once innovations show it."""
 
-WAVE_ACCEL_RANGE = (0.03, 0.6)
-"""... and its range, m/s2."""
+WAVE_ACCEL_TIME_S = 0.5
+"""Correlation time of that acceleration."""
 
-INNOVATION_TIME = 5.0
-INNOVATION_MEMORY = 60.0
-"""Time over which innovations are averaged for that, and over which the averages are, s."""
+INNOVATION_MEAN_S = 5.0
+INNOVATION_FORGETTING_S = 60.0
+"""Time constants of the mean innovation, and of its mean square, from which it is found."""
 
-NO_FIX = 2.0
-"""Without a vertical speed of the GNSS for so long, heave comes from the IMU alone, s."""
+CLIMB_TIMEOUT_S = 2.0
+"""Age of the last vertical speed of the GNSS from which on heave comes from the IMU alone."""
 
-CORNER = 0.2
-CORNER_RANGE = (0.15, 0.6)
-"""Without GNSS, heave that is slower than this part of the frequency of the waves is left out, and
-its range, rad/s."""
+HEAVE_CORNER_SHARE = 0.2
+HEAVE_CORNER_MIN_RADPS = 0.15
+HEAVE_CORNER_MAX_RADPS = 0.6
+"""Corner frequency of the high-pass filter of heave without GNSS, as a share of the frequency of
+the waves, and its bounds."""
 
-RATE_POWER = (0.3**2, (0.3 * 2.5) ** 2)
-"""Mean squares of the rate of roll or pitch ((rad/s)2) and of its derivative ((rad/s2)2), of a boat
-whose gyro has said nothing yet."""
+RATE_RMS_RADPS = 0.3
+RATE_DERIVATIVE_RMS_RADPS2 = 0.75
+"""Root mean squares of the rate of roll or pitch and of its derivative, before a gyro was seen."""
 
-WAVE_WINDOW = 60.0
-WAVE_LEAK = 4.0
-"""Times over which that frequency is found, and in which a speed is forgotten for it, s."""
+WAVE_FREQUENCY_TIME_S = 60.0
+WAVE_SPEED_LEAK_S = 4.0
+"""Time constants of the mean squares that give the frequency of the waves, and of the leaky
+integral of the vertical acceleration among them."""
 
-MEMORY = 15.0
-SLOW_HEAVE = 0.025
-"""Time in which a constant heave is forgotten (s), as heave is counted from its mean, and standard
-deviation of heave that changes more slowly than that (m)."""
+HEAVE_FORGETTING_S = 15.0
+SLOW_HEAVE_SD_M = 0.025
+"""Time constant in which heave returns to its mean, and standard deviation of slower heave."""
 
 ATTITUDE = np.dtype(
     [
@@ -112,7 +114,7 @@ ATTITUDE = np.dtype(
         ("ages", "f8", 7),  # time since the last new sample of each motion channel, s
         ("last", "f8", 7),  # that sample; NaN before the first
         ("refused", "f8", 7),  # runs of refused samples
-        ("surprise", "f8", 2),  # mean square of the innovations of the AHRS over their variance
+        ("nis", "f8", 2),  # mean square of the innovations of the AHRS over their variance
         (
             "doubted",
             "f8",
@@ -128,8 +130,8 @@ ATTITUDE = np.dtype(
         ("turned", "f8", 2),  # integrals of the rates of roll and pitch, rad
         ("rate_power", "f8", (2, 2)),  # mean squares of the rates of roll and pitch, (rad/s)2 ...
         # ... and of their derivatives, (rad/s2)2
-        ("ring", "f8", (RING, 4)),  # time, roll, pitch, vertical speed of past rows
-        ("turned_ring", "f8", (RING, 2)),  # those integrals in the same rows
+        ("ring", "f8", (LATE_FIX_ROWS, 4)),  # time, roll, pitch, vertical speed of past rows
+        ("turned_ring", "f8", (LATE_FIX_ROWS, 2)),  # those integrals in the same rows
     ]
 )
 """One boat. All are float64, so that it fits into flat memory."""
@@ -159,9 +161,9 @@ def wave_density(accel: float) -> float:
     """Return the spectral density of the angle that gravity shows, rad2 s.
 
     ``accel`` is the horizontal acceleration that is taken for gravity, m/s2: it lasts for
-    :data:`WAVE_TIME`.
+    :data:`WAVE_ACCEL_TIME_S`.
     """
-    return 2.0 * WAVE_TIME * (accel / GRAVITY) ** 2
+    return 2.0 * WAVE_ACCEL_TIME_S * (accel / GRAVITY) ** 2
 
 
 def initial_attitude() -> Array:
@@ -170,7 +172,7 @@ def initial_attitude() -> Array:
     record = memory.view(ATTITUDE)[0]
     for name in ("velocity", "last", "planar"):
         record[name] = np.nan
-    record["ages"] = record["planar_ages"] = NEVER
+    record["ages"] = record["planar_ages"] = NO_SAMPLE_AGE_S
     return memory
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from twin.motion.attitude import HELD
+from twin.motion.attitude import HOLD_MAX_S
 from twin.motion.state import ANGLE, N_TILT
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 from usv_kernel.jit import inlined, kernel
@@ -12,20 +12,20 @@ from usv_kernel.scalar import sincos
 
 __all__ = ["turn_upright"]
 
-FRESH = 1.0
-SURE_SD = 0.1
-"""Only with samples of so many s, and standard deviations below these (rad), are roll and pitch
-taken out of the other sensors."""
+FRESH_S = 1.0
+SURE_SD_RAD = 0.1
+"""Age of the last sample, and standard deviation, below which roll and pitch are taken out of the
+other sensors."""
 
 
 @inlined
 def _is_sure(memory):
     """Return whether roll and pitch are known well enough, and from samples of now."""
     ages, P = memory.ages, memory.P
-    by_rate = ages[0] < FRESH and ages[1] < FRESH
-    by_angle = ages[3] < FRESH and ages[4] < FRESH
+    by_rate = ages[0] < FRESH_S and ages[1] < FRESH_S
+    by_angle = ages[3] < FRESH_S and ages[4] < FRESH_S
     var = max(P[ANGLE, ANGLE], P[N_TILT + ANGLE, N_TILT + ANGLE])
-    return (by_rate or by_angle) and var < SURE_SD**2
+    return (by_rate or by_angle) and var < SURE_SD_RAD**2
 
 
 @kernel
@@ -45,7 +45,7 @@ def turn_upright(heading, memory, given, z):
     turn, ages = (q * s + r * c) / e, memory.planar_ages
     if ages[0] == 0.0:
         z[GYRO] = turn
-    if max(ages[1], ages[2]) > HELD and min(ages[1], ages[2]) <= HELD:
+    if max(ages[1], ages[2]) > HOLD_MAX_S and min(ages[1], ages[2]) <= HOLD_MAX_S:
         # but nobody else sees a single axis that is dead
         z[ACCEL_X] = z[ACCEL_Y] = math.nan
     elif memory.planar_new > 0.0:

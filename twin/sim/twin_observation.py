@@ -30,7 +30,7 @@ from twin.motion.deck_motion import (
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
 from twin.motion.forecast_state import N_CHANNELS, PITCH, QUIET_SPANS
-from twin.motion.sea_estimate import DOUBTFUL, sea_of
+from twin.motion.sea_estimate import DIRECTION_SD_MAX_RAD, sea_of
 from twin.motion.state import ANGLE
 from twin.predictors.forecast import (
     ForecastConfig,
@@ -301,7 +301,7 @@ def describe_motion(s, note, memory, given, work, obs):
         obs[at + k] = note.quiet[k]
     at += len(QUIET_SPANS)
     hs, period, to, to_sd = sea_of(sea)
-    known, directed = math.isfinite(hs), to_sd < DOUBTFUL
+    known, directed = math.isfinite(hs), to_sd < DIRECTION_SD_MAX_RAD
     note.hs = hs if known else 0.0
     side, ahead = sincos(to - s[PSI] if directed else 0.0)
     obs[at] = hs if known else 0.0
