@@ -30,7 +30,7 @@ from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import read_toml
 
 __all__ = [
-    "WIDENED",
+    "LOAD_SD_SHARE",
     "BoatPrior",
     "BoatPriorError",
     "combine",
@@ -41,30 +41,29 @@ Array = NDArray[np.float64]
 
 FORMAT = "usv-twin prior 1"
 
-WIDENED = 0.1
+LOAD_SD_SHARE = 0.1
 """Part of each value by which load and fouling may change it, as a standard deviation."""
 
 UNCORRELATED_PART = 0.3
 """Share of each variance between runs that no other parameter explains: runs are few."""
 
-FEW = 2.0
-FEW_VARIANCE = 0.1
-"""Before any run, the covariance between runs is taken to be this part of the population's, with
-the weight of so many runs."""
+PRIOR_RUNS = 2.0
+PRIOR_VARIANCE_SHARE = 0.1
+"""Weight of the prior covariance between runs, in runs, and its share of the population's."""
 
-SAME_BOAT = {"length": 0.05, "beam": 0.1, "mass": 0.3}
+SAME_BOAT_TOLERANCE = {"length": 0.05, "beam": 0.1, "mass": 0.3}
 """Relative differences within which sizes are those of one boat; the mass changes with the load."""
 
-SAME_UNIT_OF_THRUST = 0.01
+SAME_THRUST_TOLERANCE = 0.01
 """Relative difference within which speeds per shaft speed are the same."""
 
-LEAST = 1e-6
-MOST = 1e6
-"""Within which lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats lie."""
+SIZE_MIN = 1e-6
+SIZE_MAX = 1e6
+"""Bounds of lengths (m), speeds (m/s), shaft speeds (rev/s) and other sizes of boats."""
 
 _SIZES = ("length", "beam", "mass", "speed", "shaft_speed")
 
-NARROWEST = 1e-8
+VARIANCE_MIN = 1e-8
 """Smallest variance in units of the population's: below it is rounding."""
 
 
@@ -113,11 +112,11 @@ class BoatPrior:
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
         for name in _SIZES:
             value = getattr(self, name)
-            if type(value) not in (int, float) or not LEAST <= value <= MOST:
+            if type(value) not in (int, float) or not SIZE_MIN <= value <= SIZE_MAX:
                 raise BoatPriorError(
-                    f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
+                    f"{name} = {value!r:.20} must be a number from {SIZE_MIN:g} to {SIZE_MAX:g}"
                 )
-        if type(self.runs) is not int or not 0 < self.runs <= MOST:
+        if type(self.runs) is not int or not 0 < self.runs <= SIZE_MAX:
             raise BoatPriorError(f"runs = {self.runs!r:.20} must be a whole number above 0")
         names = self.parameters
         texts = isinstance(names, (list, tuple)) and all(isinstance(n, str) for n in names)
@@ -200,17 +199,17 @@ class BoatPrior:
 
     def check_boat(self, boat: Any) -> None:
         """Refuse particulars that the prior was not made for; BoatPriorError says what differs."""
-        for name in ("steering", *SAME_BOAT):
+        for name in ("steering", *SAME_BOAT_TOLERANCE):
             made_for, found = getattr(self, name), getattr(boat, name)
             if made_for != found and (
-                name == "steering" or abs(found / made_for - 1.0) > SAME_BOAT[name]
+                name == "steering" or abs(found / made_for - 1.0) > SAME_BOAT_TOLERANCE[name]
             ):
                 raise BoatPriorError(
                     f"the prior of {self.boat!r} is of a boat with {name} = {made_for}, not "
                     f"{found}: correct {name}, or leave the prior out"
                 )
         unit = boat.speed / boat.shaft_speed * self.shaft_speed / self.speed
-        if abs(unit - 1.0) > SAME_UNIT_OF_THRUST:
+        if abs(unit - 1.0) > SAME_THRUST_TOLERANCE:
             raise BoatPriorError(
                 f"the prior of {self.boat!r} was made with speed = {self.speed:g} and shaft_speed "
                 f"= {self.shaft_speed:g}, whose ratio is the unit of its thrust: keep the ratio, "
@@ -223,7 +222,7 @@ def limited(cov: Array, bound: Array) -> Array:
     root: Array = np.linalg.cholesky(np.asarray(bound, dtype=np.float64))
     values, vectors = np.linalg.eigh(_whitened(root, cov))
     turned = root @ vectors
-    out: Array = (turned * np.clip(values, NARROWEST, 1.0)) @ turned.T
+    out: Array = (turned * np.clip(values, VARIANCE_MIN, 1.0)) @ turned.T
     return 0.5 * (out + out.T)
 
 
@@ -251,14 +250,14 @@ def combine(
     root: Array = np.linalg.cholesky(np.asarray(bound, dtype=np.float64))
     z = np.array([np.linalg.solve(root, run[0] - start) for run in runs])
     C = np.array([_whitened(root, limited(run[1], bound)) for run in runs])
-    B = FEW * FEW_VARIANCE * np.eye(len(bound))
+    B = PRIOR_RUNS * PRIOR_VARIANCE_SHARE * np.eye(len(bound))
     if len(runs) > 1:
         between = np.cov(z.T).reshape(B.shape)
         alone = UNCORRELATED_PART * np.diag(np.diag(between))
         B += (len(runs) - 1) * ((1.0 - UNCORRELATED_PART) * between + alone)
-    B /= FEW + len(runs) - 1
+    B /= PRIOR_RUNS + len(runs) - 1
     typical = start + root @ z.mean(axis=0)
-    D = _whitened(root, np.diag((WIDENED * typical) ** 2))
+    D = _whitened(root, np.diag((LOAD_SD_SHARE * typical) ** 2))
     weights = np.linalg.inv(C + B + D)
     mean = np.linalg.solve(weights.sum(axis=0), np.einsum("kij,kj->i", weights, z))
     cov = C.mean(axis=0) + (1.0 + 1.0 / len(runs)) * B + D

@@ -31,40 +31,40 @@ __all__ = [
 GRAVITY = 9.81
 """Gravity, m/s2."""
 
-SEA_WATER = 1025.0
-"""Density, kg/m3."""
+SEA_WATER_KGPM3 = 1025.0
+"""Density of sea water."""
 
-FAST = 0.35
+DRIVES_FROUDE_MIN = 0.35
 """Froude number of the service speed above which a boat is taken to have drives, not rudders."""
 
-FULL_FORM = 0.75
+FULL_BLOCK_MIN = 0.75
 """Block coefficient from which on a ship is a tanker or a bulk carrier."""
 
-FORWARD = 0.4
-"""Where the deck point lies if nothing is said: lengths forward of the origin."""
+DECK_FORWARD_LENGTHS = 0.4
+"""Default of the deck point, in lengths forward of the origin."""
 
-LATENCY_MAX = 10.0
-"""Largest age of a sample when it arrives, s."""
+LATENCY_MAX_S = 10.0
+"""Largest age of a sample when it arrives."""
 
-WIND_HEIGHT_MAX = 1000.0
-"""Largest height of an anemometer, m."""
+WIND_HEIGHT_MAX_M = 1000.0
+"""Largest height of an anemometer."""
 
-ANGLE_SD_MAX = 1.0
-"""Largest standard deviation of an angle, rad: more is taken for degrees."""
+ANGLE_SD_MAX_RAD = 1.0
+"""Largest standard deviation of an angle: more is taken for degrees."""
 
-OFF_BOAT = 2.0
-OFF_BOAT_MIN = 10.0
-"""Nothing on board is farther from the origin than so many lengths, and so many m at least."""
+OFF_BOAT_LENGTHS = 2.0
+OFF_BOAT_MIN_M = 10.0
+"""Largest distance of anything on board from the origin: lengths, and at least this."""
 
-NARROW = 0.6
-"""Two hulls that are narrower together than so much of the stated beam contradict it."""
+HULLS_WIDTH_MIN = 0.6
+"""Least width over both hulls, as a share of the stated beam."""
 
-BLOCK_LEAST = 0.02
-BLOCK_MOST = 1.1
+BLOCK_MIN = 0.02
+BLOCK_MAX = 1.1
 """Mass over that of the water in a box of length, beam and draft, at least and at most."""
 
-BEAM_MOST = 1.5
-"""No boat is wider than so many of its lengths."""
+BEAM_MAX_LENGTHS = 1.5
+"""Largest beam in lengths."""
 
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
@@ -73,9 +73,9 @@ STEERING = ("drives", "differential")
 DESIGNS = ("usv75",)
 """Classes of boats of which a model is known: a prior of theirs comes with the package."""
 
-STUDY_LENGTH = 6.336
-STUDY_SPEED = 5.4
-"""Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for."""
+STUDY_LENGTH_M = 6.336
+STUDY_SPEED_MPS = 5.4
+"""Waterline and speed of the boat that filters and learners were tuned for."""
 
 
 class ParticularsError(UsvTwinError):
@@ -89,8 +89,8 @@ _MAY_BE_ZERO = (
 """The other numbers are above 0."""
 
 _MOST = {
-    **dict.fromkeys(("gps_latency", "compass_latency", "ahrs_latency"), (LATENCY_MAX, "s")),
-    "wind_height": (WIND_HEIGHT_MAX, "m"),
+    **dict.fromkeys(("gps_latency", "compass_latency", "ahrs_latency"), (LATENCY_MAX_S, "s")),
+    "wind_height": (WIND_HEIGHT_MAX_M, "m"),
     "max_tilt": (0.5 * math.pi, "rad"),
 }
 """Largest values and their units."""
@@ -149,9 +149,9 @@ def _refuse_degrees(instruments: Any) -> None:
     """
     for name in _ANGLES if isinstance(instruments, dict) else ():
         value = instruments.get(name)
-        if isinstance(value, (int, float)) and value > ANGLE_SD_MAX:
+        if isinstance(value, (int, float)) and value > ANGLE_SD_MAX_RAD:
             raise ParticularsError(
-                f"{name} = {value} must be {ANGLE_SD_MAX:g} rad or less; {_as_degrees([value])}"
+                f"{name} = {value} must be {ANGLE_SD_MAX_RAD:g} rad or less; {_as_degrees([value])}"
             )
 
 
@@ -254,7 +254,7 @@ class Deck:
 
     def point_of(self, length: float) -> tuple[float, ...]:
         """Return the point on a boat of this length (m)."""
-        return (FORWARD * length, 0.0, 0.0) if self.point is None else self.point
+        return (DECK_FORWARD_LENGTHS * length, 0.0, 0.0) if self.point is None else self.point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,7 +353,7 @@ class Particulars:
 
     def _check_places(self) -> None:
         """Refuse sensors and a deck point that are not on the boat."""
-        most, on_board = max(OFF_BOAT * self.length, OFF_BOAT_MIN), self.instruments
+        most, on_board = max(OFF_BOAT_LENGTHS * self.length, OFF_BOAT_MIN_M), self.instruments
         places = {"gps_arm": on_board.gps_arm, "imu_arm": on_board.imu_arm}
         if self.deck.point is not None:
             places["point"] = self.deck.point
@@ -366,9 +366,9 @@ class Particulars:
 
     def _check_dimensions(self) -> None:
         """Refuse length, beam, draft and mass that no boat has together."""
-        box = SEA_WATER * self.length * self.beam * self.draft
-        least, most = BLOCK_LEAST * box, BLOCK_MOST * box
-        if not least <= self.mass <= most or self.beam > BEAM_MOST * self.length:
+        box = SEA_WATER_KGPM3 * self.length * self.beam * self.draft
+        least, most = BLOCK_MIN * box, BLOCK_MAX * box
+        if not least <= self.mass <= most or self.beam > BEAM_MAX_LENGTHS * self.length:
             raise ParticularsError(
                 f"length = {self.length:g} m, beam = {self.beam:g} m, draft = {self.draft:g} m and "
                 f"mass = {self.mass:g} kg contradict each other: a boat of this size weighs "
@@ -388,13 +388,13 @@ class Particulars:
                 f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls must not "
                 f"overlap, and must lie within the beam of {self.beam:g} m"
             )
-        if self.hull_beam and self.spacing and wide < NARROW * self.beam:
+        if self.hull_beam and self.spacing and wide < HULLS_WIDTH_MIN * self.beam:
             raise ParticularsError(
                 f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls are "
                 f"{wide:g} m wide together, and the beam over both is {self.beam:g} m; spacing is "
                 "from centre line to centre line; correct one of them"
             )
-        box = SEA_WATER * self.length * self.draft * 2.0 * self.hull_beam
+        box = SEA_WATER_KGPM3 * self.length * self.draft * 2.0 * self.hull_beam
         if 0.0 < box < self.mass:
             raise ParticularsError(
                 f"mass = {self.mass:g} kg is more than two hulls of hull_beam = {self.hull_beam:g} "
@@ -469,7 +469,7 @@ class Particulars:
     @property
     def time_scale(self) -> float:
         """Time to sail a length, in units of the study boat's."""
-        return self.length / self.speed / (STUDY_LENGTH / STUDY_SPEED)
+        return self.length / self.speed / (STUDY_LENGTH_M / STUDY_SPEED_MPS)
 
     @property
     def froude(self) -> float:
@@ -479,9 +479,16 @@ class Particulars:
     @property
     def tanker(self) -> bool:
         """Whether it is a slow ship of full form, which has one propeller and one rudder."""
-        box = SEA_WATER * self.length * self.beam * self.draft
-        full = FULL_FORM * box <= self.mass <= box  # a hull cannot fill more than the box around it
-        return self.hulls == 1 and self.steering == "drives" and self.froude <= FAST and full
+        box = SEA_WATER_KGPM3 * self.length * self.beam * self.draft
+        full = (
+            FULL_BLOCK_MIN * box <= self.mass <= box
+        )  # a hull cannot fill more than the box around it
+        return (
+            self.hulls == 1
+            and self.steering == "drives"
+            and self.froude <= DRIVES_FROUDE_MIN
+            and full
+        )
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""

@@ -9,7 +9,7 @@ __all__ = ["body_velocity", "body_yaw_rate"]
 
 Array = NDArray[np.float64]
 
-STEEP = 0.1
+COS_ROLL_MIN = 0.1
 """Least cosine of the roll: a boat on its side turns its heading by pitching alone."""
 
 
@@ -54,7 +54,7 @@ def body_yaw_rate(turn: ArrayLike, tilt: ArrayLike, pitch_rate: ArrayLike) -> Ar
     """
     roll, pitch = np.moveaxis(np.asarray(tilt, dtype=np.float64), -1, 0)
     turn, pitch_rate = np.asarray(turn, dtype=np.float64), np.asarray(pitch_rate, dtype=np.float64)
-    upright = np.abs(np.cos(roll)) >= STEEP
+    upright = np.abs(np.cos(roll)) >= COS_ROLL_MIN
     share = np.where(upright, np.cos(roll), 1.0)
     found = (turn * np.cos(pitch) - pitch_rate * np.sin(roll)) / share
     return np.asarray(np.where(upright, found, turn))

@@ -31,7 +31,7 @@ from twin.files import keep, kept
 from twin.integrity.state import SENSORS
 from twin.parallel import results_of
 from twin.predictors.registry import base_name
-from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail
+from twin.sim.bridge import CONTROL_STEP_S, particulars_of, prepare, sail
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import THRUSTERS, Fault, parse_faults
 from usv_gym.world.simulation import Simulation
@@ -208,7 +208,7 @@ def sailed(unit: Unit, fault: str) -> Log:
         SeaState(hs=WAVES_M, wind=WIND_MPS),
         suite=_suite(unit),
         faults=own,
-        dt=CONTROL_STEP,
+        dt=CONTROL_STEP_S,
     )
     longest = max(one.seconds for one in FAULTS.values())
     duration = START_S + longest + AFTER_S + HORIZON_S + EVERY_S

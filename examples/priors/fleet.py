@@ -29,7 +29,7 @@ from twin.predictors.learned.pretrained import (
     Weights,
     tokens,
 )
-from twin.sim.bridge import CONTROL_STEP, particulars_of, simulate
+from twin.sim.bridge import CONTROL_STEP_S, particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import ANGLE, APPROACH, LEG, SWITCH
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Bursts, Fault, RandomFaults
@@ -81,7 +81,7 @@ def boat(rng):
 
 def commands(vessel, slow, rng):
     """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random."""
-    t = CONTROL_STEP * np.arange(round(SPAN_S / CONTROL_STEP))
+    t = CONTROL_STEP_S * np.arange(round(SPAN_S / CONTROL_STEP_S))
     kind = rng.choice(("turn", "zigzag", "turn-zigzag", "random", "throttle"))
     share, angle = np.full(len(t), rng.uniform(0.75, 1.05)), np.zeros(len(t))
     size = rng.uniform(0.4, 1.4) * ANGLE * rng.choice((-1.0, 1.0))

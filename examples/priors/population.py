@@ -28,14 +28,14 @@ from twin.model.rollout import (
     rollout,
     rollout_size,
 )
-from twin.particulars import DESIGNS, STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import DESIGNS, STUDY_LENGTH_M, STUDY_SPEED_MPS, Particulars
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.design.new_vessel import MainParticulars, design
 from usv_gym.physics import GRAVITY, ship
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel, state_at
 
-LENGTH_TIME = STUDY_LENGTH / STUDY_SPEED
+LENGTH_TIME = STUDY_LENGTH_M / STUDY_SPEED_MPS
 """Time in which the study boat moves by its length, s. The clock of a run is scaled so that every
 boat takes as long, and the times below hold for all."""
 
@@ -46,13 +46,13 @@ NEAR = 4  # rows that a first fit looks ahead
 
 ERROR_SD = np.array(
     [
-        *(0.35 / STUDY_LENGTH, 0.35 / STUDY_LENGTH, 0.04),
-        *(0.2 / STUDY_SPEED, 0.2 / STUDY_SPEED, 0.025 * LENGTH_TIME),
+        *(0.35 / STUDY_LENGTH_M, 0.35 / STUDY_LENGTH_M, 0.04),
+        *(0.2 / STUDY_SPEED_MPS, 0.2 / STUDY_SPEED_MPS, 0.025 * LENGTH_TIME),
     ]
 )
 """Errors of equal weight in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 
-LARGEST_ERROR = np.array([1.0 / STUDY_SPEED, 1.0 / STUDY_SPEED, 0.3 * LENGTH_TIME])
+LARGEST_ERROR = np.array([1.0 / STUDY_SPEED_MPS, 1.0 / STUDY_SPEED_MPS, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is left out."""
 
 FIT_TOLERANCE = 1e-4  # relative change of the sum of squares at which a fit ends

@@ -11,7 +11,7 @@ import pytest
 
 from twin import Log, Particulars, Twin, known_plan
 from twin.benchmark.scores import Reference
-from twin.boat_prior import WIDENED, BoatPrior, BoatPriorError, combine, limited
+from twin.boat_prior import LOAD_SD_SHARE, BoatPrior, BoatPriorError, combine, limited
 from twin.model.priors import PriorError
 from twin.particulars import ParticularsError
 from twin.predictors.base import Predictor
@@ -63,7 +63,7 @@ def test_what_no_run_showed_stays_as_in_the_population() -> None:
     mean, cov = combine(population, [run, run, run])
     assert mean[1] == pytest.approx(-2.0) and cov[1, 1] == pytest.approx(4.0)
     assert mean[0] == pytest.approx(1.5, abs=0.02)
-    assert 0.0025 + (WIDENED * 1.5) ** 2 < cov[0, 0] < 0.25
+    assert 0.0025 + (LOAD_SD_SHARE * 1.5) ** 2 < cov[0, 0] < 0.25
 
 
 def test_runs_that_differ_leave_the_prior_wide() -> None:

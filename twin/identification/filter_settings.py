@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.model.dynamics import model_of
 from twin.model.priors import boat_or, population_prior
 from twin.model.structure import N_STATES, Structure
-from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import STUDY_LENGTH_M, STUDY_SPEED_MPS, Particulars
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -146,7 +146,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     """
     if model is None and particulars.tanker:
         return _of_a_tanker(particulars)
-    L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
+    L, U = particulars.length / STUDY_LENGTH_M, particulars.speed / STUDY_SPEED_MPS
     time = L / U
     scale = np.array([L, L, 1.0, U, U, 1.0 / time])
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale

@@ -19,7 +19,7 @@ from twin.integrity.transforms import Trial
 from twin.logs.jumps import TYPICAL
 from twin.logs.recording import Recording
 from twin.logs.signals import ENOUGH, white_noise
-from twin.particulars import LATENCY_MAX, Instruments, Particulars
+from twin.particulars import LATENCY_MAX_S, Instruments, Particulars
 
 __all__ = [
     "SensorFigures",
@@ -140,7 +140,7 @@ def estimate_instruments(
         least = SD_SHARE_MIN * usual.gyro_bias_sd
         found["gyro_bias_sd"] = max(abs(bias.size), least), "mean difference from the compass"
     if late is not None and late.sd < STAMP_JITTER_S < late.size + STAMP_JITTER_S:
-        found["gps_latency"] = min(late.size, LATENCY_MAX), "best agreement with accelerometers"
+        found["gps_latency"] = min(late.size, LATENCY_MAX_S), "best agreement with accelerometers"
     found = {key: pair for key, pair in found.items() if 0.0 <= pair[0] < SIZE_MAX}
     base = Instruments() if particulars is None else particulars.instruments
     values: dict[str, Any] = {key: float(f"{pair[0]:.3g}") for key, pair in found.items()}

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.boat_prior import limited
 from twin.model.structure import ENVIRONMENT, MODELS, Structure
-from twin.particulars import FAST, Particulars
+from twin.particulars import DRIVES_FROUDE_MIN, Particulars
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -133,7 +133,7 @@ def kind_of(particulars: Particulars) -> str:
         return "differential"
     if particulars.tanker:
         return TANKER
-    return "drives" if particulars.froude > FAST else "rudder"
+    return "drives" if particulars.froude > DRIVES_FROUDE_MIN else "rudder"
 
 
 @cache

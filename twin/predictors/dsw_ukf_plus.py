@@ -34,7 +34,7 @@ from twin.model.dynamics import model_of
 from twin.model.priors import boat_or, population_prior
 from twin.model.rollout import GRID, upsample
 from twin.model.structure import N_STATES
-from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import STUDY_LENGTH_M, STUDY_SPEED_MPS, Particulars
 from twin.predictors.base import ParametersInUse, Prediction
 from twin.predictors.forecast import (
     Draws,
@@ -85,7 +85,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
 
     Source: docs/explanation/twin.md, The refit.
     """
-    L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
+    L, U = particulars.length / STUDY_LENGTH_M, particulars.speed / STUDY_SPEED_MPS
     return RefitSettings(
         span=110.0,
         spacing=2.0,

@@ -7,7 +7,7 @@ import math
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_ekf import aid, lacks_gps, lacks_heading, lacks_imu
 from twin.model.structure import N_STATES, current_of
-from twin.particulars import STUDY_SPEED
+from twin.particulars import STUDY_SPEED_MPS
 from usv_kernel.jit import inlined
 
 __all__ = ["aid_by_model"]
@@ -15,7 +15,7 @@ __all__ = ["aid_by_model"]
 AID_PERIOD_S = 1.0
 """Time between corrections by the model, whose errors are correlated in time."""
 
-AID_SD = 0.5 / STUDY_SPEED
+AID_SD = 0.5 / STUDY_SPEED_MPS
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
 
 AID_YAW_SD = 0.04

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.boat_prior import SAME_BOAT, BoatPrior, BoatPriorError, combine
+from twin.boat_prior import SAME_BOAT_TOLERANCE, BoatPrior, BoatPriorError, combine
 from twin.model.priors import takes
 from twin.model.structure import ENVIRONMENT, N_STATES
 from twin.predictors.base import Predictor
@@ -52,7 +52,7 @@ def prior_of_runs(predictors: Sequence[Predictor]) -> BoatPrior:
         for key in ("length", "beam", "mass", "speed", "shaft_speed", "steering"):
             now, first_had = getattr(about, key), getattr(boat, key)
             # the load may change from run to run
-            most = SAME_BOAT[key] if key in ("beam", "mass") else 0.0
+            most = SAME_BOAT_TOLERANCE[key] if key in ("beam", "mass") else 0.0
             if now != first_had and (not most or abs(now / first_had - 1.0) > most):
                 raise BoatPriorError(
                     f"run {number} has {key} = {now}, and the first {first_had}: a prior is of one "

@@ -38,7 +38,7 @@ from twin.predictors.ukf import (
 )
 from twin.sim.bridge import particulars_of, with_deck_point
 from twin.sim.forecast_scores import (
-    EVERY,
+    FORECAST_EVERY_S,
     GRADED_AT,
     LONGEST_STEP,
     NO_SCORES,
@@ -148,7 +148,7 @@ class TwinObserver(Observer):
             fresh[name] = math.nan
         fresh["health"] = twin.monitor.record
         if self._grading:
-            self._fresh[0, GRADES_AT] = EVERY  # the first field: when the first is kept
+            self._fresh[0, GRADES_AT] = FORECAST_EVERY_S  # the first field: when the first is kept
         self._notes[:] = self._fresh
         status = self.notes["health"]["sensors"]["status"]
         self._infos = {"twin_position_error_m": self.position_error}

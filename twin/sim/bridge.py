@@ -34,7 +34,7 @@ from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import write_whole
 
 __all__ = [
-    "CONTROL_STEP",
+    "CONTROL_STEP_S",
     "TRUE_STATE",
     "VERTICAL",
     "measurement_row",
@@ -47,15 +47,15 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-UPRIGHT = 0.07
-"""Margin for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
+ACCEL_MARGIN_MPS2 = 0.07
+"""Standard deviation of what the white noise of an accelerometer leaves out, at 20 Hz."""
 
-TILT_SD = 0.08
-TILT_TIME = 1.0
-"""Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
+TILT_SD_RAD = 0.08
+TILT_TIME_S = 1.0
+"""Standard deviation and correlation time of roll and pitch in waves and turns."""
 
-CONTROL_STEP = 0.05
-"""Time between the rows of a simulated run, s."""
+CONTROL_STEP_S = 0.05
+"""Time between the rows of a simulated run."""
 
 SIMULATED = [*range(len(SENSOR_CHANNELS)), *range(MOTION_AT, len(MEASUREMENTS))]
 """Places of the simulated channels in a row of measurements: no sensor shows the true wind."""
@@ -103,7 +103,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             compass_bias_sd=suite.compass_bias,
             gyro_sd=max(suite.gyro_white, 1e-4),
             gyro_bias_sd=max(suite.gyro_bias, 1e-5),
-            accel_sd=math.hypot(suite.accel_white, UPRIGHT),
+            accel_sd=math.hypot(suite.accel_white, ACCEL_MARGIN_MPS2),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
             compass_latency=suite.compass_latency,
@@ -116,8 +116,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             height_sd=max(suite.height_white, 0.02),
             height_bias_sd=suite.height_bias,
             climb_sd=max(suite.climb_white, 0.01),
-            tilt_sd=TILT_SD if dof == 6 else 0.0,
-            tilt_time=TILT_TIME,
+            tilt_sd=TILT_SD_RAD if dof == 6 else 0.0,
+            tilt_time=TILT_TIME_S,
             **({"wind_height": suite.wind_height} if suite.has_anemometer else {}),
         ),
     )
@@ -180,7 +180,7 @@ def simulate(
     the commands (N, 4) of the control steps.
     ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
-    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
+    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP_S)
     return sail(prepare(simulation, manoeuvre, duration, seed))
 
 
@@ -197,10 +197,10 @@ def prepare(
     simulation.reset([0], [sea_rng])
     if not isinstance(manoeuvre, str):
         return PreparedRun(simulation, manoeuvre, f"own_{seed}")
-    times = np.arange(max(round(duration / CONTROL_STEP), 1)) * CONTROL_STEP
+    times = np.arange(max(round(duration / CONTROL_STEP_S), 1)) * CONTROL_STEP_S
     name, vessel, given = f"{manoeuvre}_{seed}", simulation.vessel, np.zeros((len(times), 4))
     if manoeuvre == MISSION:
-        mission = Mission(vessel, simulation.state[0, TRUE_STATE], CONTROL_STEP)
+        mission = Mission(vessel, simulation.state[0, TRUE_STATE], CONTROL_STEP_S)
         return PreparedRun(simulation, given, name, mission.command)
     if manoeuvre in HEADINGS:
         hold, heading = HeadingHold(vessel), simulation.seas[0].waves_to + HEADINGS[manoeuvre]

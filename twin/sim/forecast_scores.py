@@ -40,7 +40,7 @@ from usv_kernel.records import as_record, as_records, field_at, record_size
 from usv_kernel.scalar import wrap
 
 __all__ = [
-    "EVERY",
+    "FORECAST_EVERY_S",
     "GRADED_AT",
     "LONGEST_STEP",
     "NAMES",
@@ -85,16 +85,16 @@ _INTERVALS = len(SCORES) + 1
 
 _SUMS = (len(PLANS), len(WHERE), len(HORIZONS), len(SCORES) + len(COUNTS))
 
-EVERY = 1.0
-"""A forecast is kept this often, s."""
+FORECAST_EVERY_S = 1.0
+"""Time between two forecasts that are kept."""
 
 LONGEST_STEP = LONG_STEP
 """Longest control step with which forecasts are graded, s: that of a row of their plans."""
 
-KEPT = 12
-"""Most forecasts that wait for their time: one of each of the last 10 s, and two to spare."""
+FORECASTS_KEPT = 12
+"""Most forecasts that wait to be scored: one of each of the last 10 s, and two to spare."""
 
-MARKS = 26
+COMMANDS_KEPT = 26
 """Half seconds of commands that are kept: 10 s, a control step and two to spare."""
 
 ELLIPSE_90 = -2.0 * math.log(0.1)
@@ -131,7 +131,7 @@ GRADES = np.dtype(
         ("before", "f8", 4),  # true x, y, psi, u of the row before
         ("commands", "f8", N_ACT),  # integral of the commands so far
         ("marks", "f8"),  # half seconds that have begun
-        ("integrals", "f8", (MARKS, N_ACT)),  # integral of the commands at each of the last
+        ("integrals", "f8", (COMMANDS_KEPT, N_ACT)),  # integral of the commands at each of the last
         ("sums", "f8", _SUMS),  # by PLANS, WHERE, horizon, SCORES and COUNTS
     ]
 )
@@ -164,14 +164,14 @@ def _model_size(p, rows):
 
 def grades_size(p: int, rows: int) -> int:
     """Return the numbers that a boat's forecasts take, of p parameters and rows of waves."""
-    return _GRADES_SIZE + KEPT * (_ORIGIN_SIZE + N_STATES + N_ACT + 5 + p + 6 * rows)
+    return _GRADES_SIZE + FORECASTS_KEPT * (_ORIGIN_SIZE + N_STATES + N_ACT + 5 + p + 6 * rows)
 
 
 @inlined
 def _place_of(number, at, p, rows):
     """Return where a forecast begins in the note of its boat, by its number."""
     size = _ORIGIN_SIZE + _model_size(p, rows)
-    return at + _GRADES_SIZE + (int(number) % KEPT) * size
+    return at + _GRADES_SIZE + (int(number) % FORECASTS_KEPT) * size
 
 
 @inlined
@@ -196,7 +196,7 @@ def follow_forecasts(dt, boat, note, at, p, rows):
     """
     grades, t = as_records(note, at, 1, GRADES)[0], boat.t
     while LONG_STEP * grades.marks <= t + 1e-9:
-        slot = int(grades.marks) % MARKS
+        slot = int(grades.marks) % COMMANDS_KEPT
         passed = min(max(LONG_STEP * grades.marks - (t - dt), 0.0), dt)
         for k in range(N_ACT):
             grades.integrals[slot, k] = grades.commands[k] + boat.command[k] * passed
@@ -230,11 +230,15 @@ def _write_plan(origin, grades, plan):
             place = origin.t / LONG_STEP + row + 1.0
             mark = math.floor(place + 1e-6)
             share = place - mark
-            after = grades.integrals[int(mark) % MARKS, k]
+            after = grades.integrals[int(mark) % COMMANDS_KEPT, k]
             if share > 1e-6:
                 # between two half seconds; the last may not be over yet
                 over = mark + 1.0 < grades.marks
-                more = grades.integrals[int(mark + 1.0) % MARKS, k] if over else grades.commands[k]
+                more = (
+                    grades.integrals[int(mark + 1.0) % COMMANDS_KEPT, k]
+                    if over
+                    else grades.commands[k]
+                )
                 after = after + share * (more - after) if over else more
             plan[row, k] = (after - before) / LONG_STEP
             before = after
@@ -280,7 +284,7 @@ def keep_forecast(start, boat, noted, happens, period, note, at, sizes):
     origin = as_records(note, place, 1, ORIGIN)[0]
     origin.t, origin.in_loss = boat.t, 1.0 if happens[0] else 0.0
     origin.doubted = 1.0 if happens[1] else 0.0
-    fresh = noted.last - (noted.covs_due - period) < EVERY - 1e-6
+    fresh = noted.last - (noted.covs_due - period) < FORECAST_EVERY_S - 1e-6
     origin.has_intervals = 1.0 if fresh else 0.0
     for k in range(2):
         origin.start[k], origin.place[k] = start[k], boat.state[_TRUTH[k]]
@@ -294,7 +298,7 @@ def keep_forecast(start, boat, noted, happens, period, note, at, sizes):
         origin.deviation[h, 0] = math.sqrt(max(noted.covs[h, PSI, PSI], 0.0))
         origin.deviation[h, 1] = math.sqrt(max(noted.covs[h, U, U], 0.0))
     grades.made += 1.0
-    grades.next = EVERY * (math.floor(boat.t / EVERY + 1e-9) + 1.0)
+    grades.next = FORECAST_EVERY_S * (math.floor(boat.t / FORECAST_EVERY_S + 1e-9) + 1.0)
     return place
 
 

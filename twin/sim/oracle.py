@@ -39,14 +39,14 @@ __all__ = [
 
 Array = NDArray[Any]
 
-GAIN = 0.5
-"""How fast the oracle's velocities follow those of the navigation, 1/s.
+OBSERVER_GAIN_PER_S = 0.5
+"""Gain with which the oracle's velocities follow those of the navigation.
 
 Source: docs/explanation/twin.md, Waves and prediction intervals.
 """
 
-STEP = 0.05
-"""Longest integration step, s: that of the simulation."""
+STEP_MAX_S = 0.05
+"""Longest integration step: that of the simulation."""
 
 _EXTRA = COMMANDED.stop
 """First extra column of a row of the history; from there on time, then the state of the ship."""
@@ -68,7 +68,7 @@ class _True(NamedTuple):
 @kernel
 def _sail(state, cmd, t, dt, true):
     """Sail a ship for dt under a command, in place; velocities stay within the limits."""
-    steps, limits = math.ceil(dt / STEP - 1e-9), true.limits
+    steps, limits = math.ceil(dt / STEP_MAX_S - 1e-9), true.limits
     for j in range(steps):
         h = dt / steps
         ship.step(state, cmd, true.vessel, true.sea, t + j * h, h, true.work)
@@ -145,9 +145,9 @@ class Oracle(HistoryPredictor):
 
     Position and heading come from the tight navigation filter, speeds and yaw rate from an
     observer. The observer is a simulated copy of the ship, corrected towards the navigation's
-    velocities with the gain :data:`GAIN`. So it filters out the motion that single waves cause. The
-    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the slow
-    changes of the wind are not known to it. Intervals are those of
+    velocities with the gain :data:`OBSERVER_GAIN_PER_S`. So it filters out the motion that single
+    waves cause. The actuators follow the commands as the true ones do. Waves, their mean drift,
+    gusts and the slow changes of the wind are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
     ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.
@@ -196,7 +196,7 @@ class Oracle(HistoryPredictor):
         _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX_S), self._true)
         if not self._begun:
             state[fr.N_LEFT :] = self._cmd
-        share = -math.expm1(-GAIN * dt) if self._begun else 1.0
+        share = -math.expm1(-OBSERVER_GAIN_PER_S * dt) if self._begun else 1.0
         for entry, value in zip((fr.U, fr.V, fr.R), n[3:6], strict=True):
             state[entry] += share * (value - state[entry])
         state[fr.X], state[fr.Y], state[fr.PSI] = n[:3]

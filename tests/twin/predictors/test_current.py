@@ -10,7 +10,7 @@ from twin import Twin
 from twin.channels import MEASUREMENTS
 from twin.identification.data_weight import CHANGED
 from twin.model.rollout import GRID
-from twin.sim.bridge import CONTROL_STEP, particulars_of, prepare, sail, simulate
+from twin.sim.bridge import CONTROL_STEP_S, particulars_of, prepare, sail, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.simulation import Simulation
 
@@ -137,7 +137,7 @@ def test_current_that_no_turn_has_shown_is_within_what_is_claimed():
 def test_boat_that_has_changed_is_predicted_soon():
     """A current of 1 m/s sets in: the refits look back to the change."""
     boat = Vessel.load("usv75")
-    simulation = Simulation(1, boat, SeaState(hs=0.5, wind=4.5), dt=CONTROL_STEP)
+    simulation = Simulation(1, boat, SeaState(hs=0.5, wind=4.5), dt=CONTROL_STEP_S)
 
     def set_in(t: float, simulation: Simulation) -> None:
         simulation.weather["current_east"] = float(t >= 90.0)

@@ -13,7 +13,13 @@ from twin.logs.log import Log
 from twin.particulars import Instruments
 from twin.predictors.registry import PredictorError
 from twin.sim.bridge import particulars_of, simulate
-from twin.sim.oracle import GAIN, Oracle, check_simulator, known_vessel, simulator_options
+from twin.sim.oracle import (
+    OBSERVER_GAIN_PER_S,
+    Oracle,
+    check_simulator,
+    known_vessel,
+    simulator_options,
+)
 from usv_gym import SeaState, SensorSuite, Vessel
 
 CALM, WINDY = SeaState(), SeaState(wind=6.0, current=0.4, current_to=1.0, gusts="none")
@@ -94,7 +100,7 @@ def test_it_follows_the_motion_and_not_the_waves():
             seen.append(oracle.state[4])
             followed.append(oracle._extra[1 + 7])
     assert np.std(followed) < 0.5 * np.std(seen)
-    assert GAIN * 3.0 / (2 * math.pi) < 0.5
+    assert OBSERVER_GAIN_PER_S * 3.0 / (2 * math.pi) < 0.5
     assert abs(np.mean(followed) - np.mean(seen)) < 0.05
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from twin.benchmark.loading import load_run
 from twin.benchmark.protocol import Settings, units
-from twin.sim.bridge import CONTROL_STEP, simulate
+from twin.sim.bridge import CONTROL_STEP_S, simulate
 from usv_gym import Fault, SeaState, Vessel
 from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, time_to_know, way_points
 
@@ -57,4 +57,4 @@ def test_a_benchmark_sails_both_directions_before_a_loss_that_ends_in_time():
     assert run.reference.t[-1] > run.identify + settings.fault_after_s + 60.0
     # the boat drifts with a current, although the sea of the settings has none
     assert run.simulator[1].current == CURRENT
-    assert run.reference.t[1] == pytest.approx(CONTROL_STEP)
+    assert run.reference.t[1] == pytest.approx(CONTROL_STEP_S)

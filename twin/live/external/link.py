@@ -18,8 +18,8 @@ __all__ = ["Link"]
 
 Array = NDArray[np.float64]
 
-AHEAD_MAX = 2.0
-"""An estimate is carried on to the present by at most so much, s."""
+AHEAD_MAX_S = 2.0
+"""Longest time by which an estimate is carried on to the present."""
 
 
 class Link:
@@ -40,7 +40,7 @@ class Link:
         if self._armed and not armed and navigation.state in ("waiting", "ready"):
             twin.reset()
             navigation.restart()
-        age = min(feed.age(t), AHEAD_MAX)
+        age = min(feed.age(t), AHEAD_MAX_S)
         estimate = carried(twin.estimate(), age)
         stamp = feed.stamp_of(t + age)
         feed.post(navigation.take(t, z, estimate, feed.plane, stamp))

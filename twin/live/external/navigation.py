@@ -44,26 +44,26 @@ ORIGIN_MESSAGE = 49
 GPS_SOURCE, TWIN_SOURCE = 1, 2
 """Source sets of the EKF."""
 
-HEARTBEAT = 1.0
-ORIGIN_EVERY = 5.0
-RETRY = 0.5
-"""Times between heartbeats, questions for the origin, and orders without an answer, s."""
+HEARTBEAT_EVERY_S = 1.0
+ORIGIN_EVERY_S = 5.0
+RETRY_AFTER_S = 0.5
+"""Times between heartbeats, questions for the origin, and orders without an answer."""
 
 LOSS_S = 1.0
 """Time without a fix after which the GPS counts as lost."""
 
-FIXES_MISSED = 2.5
-"""So many times between two fixes without one are a loss, if that is longer than LOSS_S."""
+INTERVALS_MISSED = 2.5
+"""Fix intervals without a fix that are a loss, if that is longer than :data:`LOSS_S`."""
 
-LONGEST_INTERVAL = 2.0
-"""Longest time between two fixes that is taken for that of the receiver, s."""
+FIX_INTERVAL_MAX_S = 2.0
+"""Longest time between two fixes that is taken for that of the receiver."""
 
-MOVES = 0.3
-"""Speed from which on a boat teaches its twin something, m/s."""
+LEARNING_SPEED_MIN_MPS = 0.3
+"""Speed from which on a twin learns from the boat."""
 
 AGREE_M = 2.0
 AGREE_S = 3.0
-"""Twin and GPS agree when they have been so near to each other for so long."""
+"""Twin and GPS agree after this time within this distance."""
 
 _SLACK = 1e-6
 
@@ -151,11 +151,11 @@ class ExternalNavigation:
         fix = z[GPS_X : GPS_Y + 1]
         fixed = bool(np.isfinite(fix).all())
         if fixed:
-            if math.isfinite(self._fixed) and 0.0 < t - self._fixed < LONGEST_INTERVAL:
+            if math.isfinite(self._fixed) and 0.0 < t - self._fixed < FIX_INTERVAL_MAX_S:
                 self._interval += 0.1 * (t - self._fixed - self._interval)
             self._fixed = t
         known = estimate.ready and bool(np.isfinite(estimate.state[: V + 1]).all())
-        if known and math.hypot(estimate.state[U], estimate.state[V]) > MOVES:
+        if known and math.hypot(estimate.state[U], estimate.state[V]) > LEARNING_SPEED_MIN_MPS:
             self._moving += dt
         self._decide(t, fix if fixed else None, estimate, known)
         return list(self._messages(t, estimate, known, plane, stamp))
@@ -167,7 +167,7 @@ class ExternalNavigation:
     @property
     def gps_lost(self) -> bool:
         """Whether the fixes have stopped."""
-        limit = max(LOSS_S, FIXES_MISSED * self._interval)
+        limit = max(LOSS_S, INTERVALS_MISSED * self._interval)
         return not self._last - self._fixed <= limit + _SLACK
 
     def _decide(self, t: float, fix: Array | None, estimate: Estimate, known: bool) -> None:
@@ -274,13 +274,15 @@ class ExternalNavigation:
     ) -> Iterator[bytes]:
         """Yield what is due."""
         write, system = self.writer, self.peer.system
-        if t - self._greeted >= HEARTBEAT - _SLACK:
+        if t - self._greeted >= HEARTBEAT_EVERY_S - _SLACK:
             self._greeted = t
             yield write.heartbeat()
         if system is None:
             return
         write.link.srcSystem = system
-        if t - self._origin_asked >= (HEARTBEAT if self.peer.origin is None else ORIGIN_EVERY):
+        if t - self._origin_asked >= (
+            HEARTBEAT_EVERY_S if self.peer.origin is None else ORIGIN_EVERY_S
+        ):
             self._origin_asked = t
             yield write.command(system, REQUEST_MESSAGE, ORIGIN_MESSAGE)
         if self._wanted != self.source or self._asked == -math.inf:
@@ -301,7 +303,7 @@ class ExternalNavigation:
         if result == ACCEPTED and self._asked > -math.inf:
             self.source = self._wanted
             return
-        if t - self._asked >= RETRY - _SLACK:
+        if t - self._asked >= RETRY_AFTER_S - _SLACK:
             if result is not None:
                 self.note(t, f"the autopilot refused source set {self._wanted} (result {result})")
                 del self.peer.results[SET_SOURCE]

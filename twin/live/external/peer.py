@@ -23,7 +23,7 @@ FAILSAFE = "EKF failsafe"
 """What ArduPilot says when its EKF fails."""
 
 DATAGRAMS_MAX = 200
-"""So many datagrams are read at most in one call; the rest waits for the next."""
+"""Most datagrams that one call reads; the rest waits for the next."""
 
 
 class AutopilotPeer:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twin.live.external.peer import AutopilotPeer
 from twin.live.protocols.mavlink import (
     AUTOPILOT,
-    NEAR,
+    CLOCK_TOLERANCE_S,
     ONBOARD,
     UNKNOWN_HEADING,
     MavlinkFeed,
@@ -31,18 +31,18 @@ __all__ = ["ReceiverFeed"]
 
 Array = NDArray[np.float64]
 
-WAIT = 0.1
-"""A row waits so long, s, for messages that were overtaken: the autopilot sails by its estimate."""
+REORDER_S = 0.1
+"""Time that a row waits for messages that were overtaken: the autopilot sails by its estimate."""
 
-NO_FIX = 2
+FIX_TYPE_MIN = 2
 """Least ``fix_type`` of a place on the Earth."""
 
 SET_INTERVAL = 511
-ASK_EVERY = 10.0
-"""Command MAV_CMD_SET_MESSAGE_INTERVAL, and the time, s, after which it is given again."""
+ASK_EVERY_S = 10.0
+"""Command MAV_CMD_SET_MESSAGE_INTERVAL, and the time after which it is given again."""
 
-INTERVALS = {30: 0.05, 27: 0.05, 36: 0.05, 24: 0.2}
-"""Message -> time between two, s: ATTITUDE, RAW_IMU, SERVO_OUTPUT_RAW, GPS_RAW_INT."""
+INTERVALS_S = {30: 0.05, 27: 0.05, 36: 0.05, 24: 0.2}
+"""Time between two messages, by number: ATTITUDE, RAW_IMU, SERVO_OUTPUT_RAW, GPS_RAW_INT."""
 
 
 class ReceiverFeed(MavlinkFeed):
@@ -60,17 +60,17 @@ class ReceiverFeed(MavlinkFeed):
         self._source: Address | None = None
         self._target: Address | None = None
         self._intervals_asked = -math.inf
-        super().__init__(address, particulars, **{"wait": WAIT, **options})
+        super().__init__(address, particulars, **{"wait": REORDER_S, **options})
 
     def take(self) -> list[tuple[float, Array, Array]]:
         """Return the rows that are complete, and ask for what rows are made of."""
         rows, now = super().take(), self.clock()
-        if self._target is not None and now - self._intervals_asked >= ASK_EVERY:
+        if self._target is not None and now - self._intervals_asked >= ASK_EVERY_S:
             self._intervals_asked = now
             system = int(self.peer.system or AUTOPILOT)
             self.post(
                 self._writer.command(system, SET_INTERVAL, message, 1e6 * interval)
-                for message, interval in INTERVALS.items()
+                for message, interval in INTERVALS_S.items()
             )
         return rows
 
@@ -105,10 +105,10 @@ class ReceiverFeed(MavlinkFeed):
 
     def _fix(self, item: Any) -> Message:
         """Return place and speed of the receiver."""
-        if item.fix_type < NO_FIX or not (item.lat or item.lon):
+        if item.fix_type < FIX_TYPE_MIN or not (item.lat or item.lon):
             return Message("position", void=True)
         stamp = item.time_usec / 1e6
-        timed = abs(stamp - self._boot) < NEAR
+        timed = abs(stamp - self._boot) < CLOCK_TOLERANCE_S
         values = {}
         if UNKNOWN_HEADING not in (item.vel, item.cog):
             course, speed = math.radians(item.cog / 100.0), item.vel / 100.0

@@ -15,18 +15,18 @@ from twin.live.external.peer import MavlinkPort
 from twin.live.protocols.mavlink import ONBOARD, MavlinkWriter
 from twin.logs.datum import Datum
 from twin.logs.log import Log
-from twin.sim.bridge import CONTROL_STEP, TRUE_STATE, VERTICAL, measurement_row
+from twin.sim.bridge import CONTROL_STEP_S, TRUE_STATE, VERTICAL, measurement_row
 from usv_gym.sitl.backend import Backend
 from usv_gym.world.channels import GPS_BIT
 from usv_gym.world.faults import EFFECTS, FAULT_KINDS, Disturbance
 from usv_gym.world.sensors import SensorSuite
 
-__all__ = ["GPS_RATE", "AutopilotRun", "suite_of", "unmirrored"]
+__all__ = ["GPS_RATE_HZ", "AutopilotRun", "suite_of", "unmirrored"]
 
 Array = NDArray[np.float64]
 
-GPS_RATE = 5.0
-"""Fixes per second of the receivers that autopilots have, Hz."""
+GPS_RATE_HZ = 5.0
+"""Rate of the receivers that autopilots have."""
 
 RECEIVER, RETRY = "SIM_GPS1_ENABLE", 0.2
 """Parameter that switches the receiver of ArduPilot's simulator, and the time, s, after which the
@@ -35,7 +35,7 @@ order is given again if it was not confirmed."""
 
 def suite_of(grade: str) -> SensorSuite:
     """Return the sensors of a grade, with the rate of an autopilot's receiver."""
-    values = {**vars(SensorSuite.grade(grade)), "gps_rate": GPS_RATE}
+    values = {**vars(SensorSuite.grade(grade)), "gps_rate": GPS_RATE_HZ}
     return SensorSuite(**values)
 
 
@@ -51,7 +51,7 @@ def unmirrored(faults: Iterable[Disturbance]) -> list[str]:
 class AutopilotRun:
     """What happens beside a backend: a log with the truth, and the twin as navigation.
 
-    Rows have the length :data:`twin.sim.bridge.CONTROL_STEP`, with the last sample of each sensor
+    Rows have the length :data:`twin.sim.bridge.CONTROL_STEP_S`, with the last sample of each sensor
     within it. When the boat is cast off the twin begins again: what it saw of a moored boat would
     teach it that wind and current do not move it.
 
@@ -90,7 +90,7 @@ class AutopilotRun:
         backend.on_step, backend.on_restart = self._after_step, self._restart
         self._plane = datum.plane
         self._writer = MavlinkWriter(component=ONBOARD)
-        self._every = max(round(CONTROL_STEP / backend.simulation.dt), 1)
+        self._every = max(round(CONTROL_STEP_S / backend.simulation.dt), 1)
         self._begin()
 
     def _begin(self) -> None:

@@ -52,11 +52,11 @@ UNKNOWN_SPEED = 2**15 - 1
 UNKNOWN_PLACE = 2**31 - 1
 UNKNOWN_HEADING = 2**16 - 1
 
-NEAR = 5.0
-"""A servo output whose time differs by more than this, s, from the last one has another clock."""
+CLOCK_TOLERANCE_S = 5.0
+"""Largest difference to the time of the last message of a servo output of the same clock."""
 
-RATES_GONE = 2.0
-"""So long after the last rates of ATTITUDE those of the IMU count, s."""
+RATES_TIMEOUT_S = 2.0
+"""Age of the last rates of ATTITUDE from which on those of the IMU count."""
 
 _IMU_PARTS = (
     *("accel_x_mps2", "accel_y_mps2", "accel_z_mps2"),
@@ -71,8 +71,8 @@ ONBOARD = 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
 
 
-JUMP = 0.5
-"""An estimate that moves by more than its velocity explains and this, m, has jumped."""
+JUMP_MIN_M = 0.5
+"""Distance beyond what its velocity explains, from which on an estimate has jumped."""
 
 
 class JumpCounter:
@@ -93,7 +93,7 @@ class JumpCounter:
             before, x, y, vx, vy = self._last
             dt = t - before
             ahead = x + 0.5 * dt * (vx + north), y + 0.5 * dt * (vy + east)
-            if math.dist(ahead, (state[X], state[Y])) > JUMP:
+            if math.dist(ahead, (state[X], state[Y])) > JUMP_MIN_M:
                 self.count = (self.count + 1) % 256
         self._last = t, float(state[X]), float(state[Y]), north, east
         return self.count
@@ -207,12 +207,12 @@ class MavlinkFeed(Feed):
             stamp = item.time_boot_ms / 1000.0
         else:
             stamp = item.time_usec / 1e6
-        timed = abs(stamp - self._boot) < NEAR
+        timed = abs(stamp - self._boot) < CLOCK_TOLERANCE_S
         values = {}
         parts = item.xacc, item.yacc, item.zacc, item.xgyro, item.ygyro, item.zgyro
         for bit, (name, part) in enumerate(zip(_IMU_PARTS, parts, strict=True)):
             # the autopilot's own rates have lost the bias of its gyros
-            rated = self._heard - self._rated.get(name, -math.inf) < RATES_GONE
+            rated = self._heard - self._rated.get(name, -math.inf) < RATES_TIMEOUT_S
             if flags & 1 << bit and math.isfinite(part) and not rated:
                 values[name] = (force if bit < 3 else turn) * float(part)
         return Message("imu", stamp if timed else None, values, void=not values)
@@ -222,14 +222,14 @@ class MavlinkFeed(Feed):
         # 32 bits of microseconds wrap every 72 minutes, those of milliseconds later
         stamp = item.time_usec / 1e6
         stamp += round((self._boot - stamp) * 1e6 / WRAP) * WRAP / 1e6 if self._boot >= 0.0 else 0.0
-        timed = abs(stamp - self._boot) < NEAR
+        timed = abs(stamp - self._boot) < CLOCK_TOLERANCE_S
         values = self.servos.commands(widths) if item.port == 0 else {}
         return Message("servos", stamp if timed else None, values, void=not values)
 
     def _wind_cov(self, item: Any) -> Message:
         """Return the true wind, given as the velocity of the air."""
         stamp = item.time_usec / 1e6
-        timed = abs(stamp - self._boot) < NEAR
+        timed = abs(stamp - self._boot) < CLOCK_TOLERANCE_S
         speed = math.hypot(item.wind_x, item.wind_y)
         values = {}
         if math.isfinite(speed):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.sessions.session import SessionError
-from twin.live.sessions.tracker import HORIZON, PLAN_STEP
+from twin.live.sessions.tracker import HORIZON_S, PLAN_STEP_S
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, commands
 from usv_gym.vessel.vessel import Vessel
 
@@ -52,7 +52,7 @@ class Autopilot:
     def plan(self, t: float) -> str | Array:
         """Return the commands to come, as :meth:`twin.digital_twin.Twin.predict` takes them."""
         if self.autopilot in MANOEUVRES:
-            return self._manoeuvre(t, np.arange(0.0, HORIZON, PLAN_STEP))
+            return self._manoeuvre(t, np.arange(0.0, HORIZON_S, PLAN_STEP_S))
         return "hold"
 
     def _manoeuvre(self, t: float, ahead: Array) -> Array:

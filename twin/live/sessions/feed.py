@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS
 from twin.digital_twin import Twin
-from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
+from twin.live.sessions.session import LAG_MAX_S, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
 from twin.logs.wire.feed import Feed
@@ -49,7 +49,7 @@ class FeedSession(Session):
         begun = time.monotonic()
         if not self._waiting:
             self._waiting.extend(self.feed.take())
-        while self._waiting and time.monotonic() < begun + MAX_LAG:
+        while self._waiting and time.monotonic() < begun + LAG_MAX_S:
             t, z, cmd = self._waiting.popleft()
             self.monitor.step(t, z, cmd)
             self._cmd, self._heard = cmd, time.monotonic()

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from twin.digital_twin import PLANS, Twin, TwinError, known_plan
 from twin.live.sessions.session import (
-    PUBLISHED,
+    SNAPSHOT_EVERY_S,
     Session,
     Snapshot,
     measured_boat,
 )
 from twin.live.sessions.tracker import (
-    HORIZON,
+    HORIZON_S,
     LOST_AFTER_S,
-    PLAN_STEP,
+    PLAN_STEP_S,
     History,
     TwinMonitor,
     overlay_of,
@@ -38,11 +38,11 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-MOMENTS = 4000
-MOST_APART = 2.0
-"""About so many predictions of a run are kept, and not farther apart than this, s."""
+PREDICTIONS_KEPT = 4000
+PREDICTION_SPACING_MAX_S = 2.0
+"""Predictions of a run that are kept, about, and the longest time between two."""
 
-BEHIND = 4000
+ROWS_BEHIND = 4000
 TRACK = 400
 FIXES = 400
 """The track of so many rows is drawn with about so many points, and so many fixes."""
@@ -65,7 +65,9 @@ class LogSession(Session):
         self.log, self.plan = log, plan
         self.at = self.done = float(log.t[0])
         span = float(log.t[-1] - log.t[0])
-        self._spacing = min(max(PUBLISHED, span / MOMENTS), MOST_APART)
+        self._spacing = min(
+            max(SNAPSHOT_EVERY_S, span / PREDICTIONS_KEPT), PREDICTION_SPACING_MAX_S
+        )
         self._fixes, self._headings, self._turns = (
             np.flatnonzero(np.isfinite(log.z[:, column])) for column in (GPS_X, COMPASS, GYRO)
         )
@@ -99,7 +101,7 @@ class LogSession(Session):
     def _advance(self) -> None:
         begin, first = self._anchor
         begun = time.monotonic()
-        while self._next < len(self.log) and time.monotonic() < begun + PUBLISHED:
+        while self._next < len(self.log) and time.monotonic() < begun + SNAPSHOT_EVERY_S:
             self._take_row()
         if not self.paused:
             self.at = first + (begun - begin) * self.scale
@@ -114,7 +116,7 @@ class LogSession(Session):
         self.monitor.step(t, log.z[row], log.cmd[row], truth)
         if t >= self._due - 1e-9 or row == len(log) - 1:
             self._due = t + self._spacing
-            plan = known_plan(log, row, HORIZON, PLAN_STEP) if self.plan == "known" else "hold"
+            plan = known_plan(log, row, HORIZON_S, PLAN_STEP_S) if self.plan == "known" else "hold"
             made = self.monitor.predict(plan)
             self._moments.append(None if made is None else overlay_of(made))
             self._times.append(t)
@@ -142,8 +144,10 @@ class LogSession(Session):
         if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
             boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
         places = self._estimated if log.truth is None else log.truth
-        behind = places[max(row - BEHIND, 0) : row + 1 : max(min(row, BEHIND) // TRACK, 1), :2]
-        follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON, side="right")))
+        behind = places[
+            max(row - ROWS_BEHIND, 0) : row + 1 : max(min(row, ROWS_BEHIND) // TRACK, 1), :2
+        ]
+        follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON_S, side="right")))
         ahead = (log.z if log.truth is None else log.truth)[follow, :2]
         return Snapshot(
             t=t,

@@ -8,7 +8,7 @@ from abc import abstractmethod
 from typing import Any
 
 from twin.digital_twin import Twin
-from twin.live.sessions.session import MAX_LAG, Session, SessionError
+from twin.live.sessions.session import LAG_MAX_S, Session, SessionError
 from twin.particulars import Particulars
 from twin.predictors.registry import predictor_class
 from twin.sim.oracle import simulator_options
@@ -85,6 +85,6 @@ class SailingSession(Session):
         now = time.monotonic()
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9 and self._sail():
-            if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
+            if time.monotonic() > now + LAG_MAX_S:  # too much is asked of this machine
                 self._anchor_now()
                 break

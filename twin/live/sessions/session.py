@@ -35,8 +35,8 @@ from usv_gym.world.simulation import Simulation
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
-    "MAX_LAG",
-    "PUBLISHED",
+    "LAG_MAX_S",
+    "SNAPSHOT_EVERY_S",
     "Session",
     "SessionError",
     "Snapshot",
@@ -46,11 +46,11 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-PUBLISHED = 0.05
-"""Time between two snapshots, s: 20 Hz."""
+SNAPSHOT_EVERY_S = 0.05
+"""Time between two snapshots: 20 Hz."""
 
-MAX_LAG = 0.25
-"""A session that is behind by more gives up catching up, s."""
+LAG_MAX_S = 0.25
+"""Lag from which on a session gives up catching up."""
 
 UNKNOWN = np.full(len(TRUTH), math.nan)
 
@@ -153,7 +153,7 @@ class Session(ABC):
 
     @abstractmethod
     def _advance(self) -> None:
-        """Advance to the present time of the clock, in no more than about :data:`MAX_LAG`.
+        """Advance to the present time of the clock, in no more than about :data:`LAG_MAX_S`.
 
         Where it is paused, time stands still.
         """
@@ -232,7 +232,7 @@ class Session(ABC):
                 self._advance()
                 now = time.monotonic()
                 if now >= due:
-                    due = max(due + PUBLISHED, now)
+                    due = max(due + SNAPSHOT_EVERY_S, now)
                     self.snapshot = self._look() or self.snapshot
                     self.fresh.set()
                 self._stop.wait(min(max(due - time.monotonic(), 0.0), self._rest()))

@@ -18,9 +18,9 @@ from usv_gym.envs.scene import TwinOverlay
 from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
-    "HORIZON",
+    "HORIZON_S",
     "LOST_AFTER_S",
-    "PLAN_STEP",
+    "PLAN_STEP_S",
     "History",
     "TwinMonitor",
     "overlay_of",
@@ -29,11 +29,11 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-HORIZON = 10.0
-"""How far the twin looks ahead, s."""
+HORIZON_S = 10.0
+"""Length of a forecast."""
 
-PLAN_STEP = 0.25
-"""Time between two rows of a plan, s."""
+PLAN_STEP_S = 0.25
+"""Time between two rows of a plan."""
 
 CURRENT = "C_north", "C_east"
 """Parameters of a model that are the velocity of the water."""
@@ -42,21 +42,20 @@ FIXES = 400
 TRACK = 1500
 """Fixes and points of the track that are kept to be drawn."""
 
-HISTORY_STEP = 0.5
+HISTORY_STEP_S = 0.5
 HISTORY_ROWS = 1200
-"""Time between two rows of the curves at first, s, and how many rows make them half as dense."""
+"""Time between two rows of the curves at first, and the number at which every other one goes."""
 
 INTERVALS_MISSED = 3.0
 LOST_AFTER_S = 0.5
-"""A sensor counts as lost after so many nominal intervals, and at least so much time."""
+"""Silence after which a sensor counts as lost: nominal intervals, and the least time."""
 
-SPACING = 0.05
-"""Points of the track are at least so many lengths apart."""
+TRACK_SPACING_LENGTHS = 0.05
+"""Least distance of two points of the track, in lengths of the boat."""
 
-GAP = 1.0
-NEW_AFTER = 30.0
-"""Gap between rows, s: after the first no errors are computed, after the second the curves begin
-again."""
+ERROR_GAP_S = 1.0
+RESTART_GAP_S = 30.0
+"""Gap between rows after which no errors are computed, and after which the curves begin again."""
 
 
 def overlay_of(prediction: Prediction) -> TwinOverlay:
@@ -118,7 +117,7 @@ class TwinMonitor:
         self._open: deque[tuple[float, Array, Array]] = deque()
         self._place = (math.nan, math.nan)
         self._rows: list[tuple[tuple[float, ...], Array, Array]] = []
-        self._step = HISTORY_STEP
+        self._step = HISTORY_STEP_S
 
     @property
     def gps_age(self) -> float:
@@ -151,8 +150,8 @@ class TwinMonitor:
         ``truth`` (6,) is for the errors alone, NaN where it is not known. No twin receives it.
         """
         fix, heading = z[GPS_X : GPS_X + 2], float(z[COMPASS])
-        if t - self.t > NEW_AFTER:
-            self._rows, self._step = [], HISTORY_STEP
+        if t - self.t > RESTART_GAP_S:
+            self._rows, self._step = [], HISTORY_STEP_S
             self.error = self.error_hold = math.nan
         self.twin.step(t, z, cmd)
         before, self.t = self.t, t
@@ -173,14 +172,14 @@ class TwinMonitor:
     def predict(self, plan: str | Array = "hold") -> Prediction | None:
         """Return where the boat will be; None before a first fix.
 
-        ``plan`` is "hold", or commands (HORIZON / PLAN_STEP, 4), every :data:`PLAN_STEP`. The
+        ``plan`` is "hold", or commands (HORIZON_S / PLAN_STEP_S, 4), every :data:`PLAN_STEP_S`. The
         prediction is scored when its last moment has come.
         """
         if not self.twin.predictor.estimate().ready:
             return None
-        prediction = self.twin.predict(plan, horizon=HORIZON, dt=PLAN_STEP)
+        prediction = self.twin.predict(plan, horizon=HORIZON_S, dt=PLAN_STEP_S)
         start = prediction.start
-        held = hold_velocity(start, start[U:], np.array([HORIZON]))[0]
+        held = hold_velocity(start, start[U:], np.array([HORIZON_S]))[0]
         if not self._open or self.t > self._open[-1][0]:
             self._open.append((self.t, prediction.mean[-1, :2], held[:2]))
         return prediction
@@ -219,14 +218,14 @@ class TwinMonitor:
         else:
             s = self.twin.predictor.state
             self._place = float(s[0]), float(s[1])
-        far = SPACING * self.twin.particulars.length
+        far = TRACK_SPACING_LENGTHS * self.twin.particulars.length
         there = math.isfinite(self._place[0])
         if there and (not self.track or math.dist(self.track[-1], self._place) > far):
             self.track.append(self._place)
-        while self._open and self._open[0][0] + HORIZON <= self.t + 1e-9:
+        while self._open and self._open[0][0] + HORIZON_S <= self.t + 1e-9:
             due, by_twin, held = self._open.popleft()
-            share = (due + HORIZON - before) / (self.t - before)
-            share = share if self.t - before < GAP else math.nan
+            share = (due + HORIZON_S - before) / (self.t - before)
+            share = share if self.t - before < ERROR_GAP_S else math.nan
             place = [a + share * (b - a) for a, b in zip(last, self._place, strict=True)]
             self.error = math.dist(place, by_twin)
             self.error_hold = math.dist(place, held)

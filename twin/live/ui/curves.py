@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 HEIGHT, LOW = 150, 120
 """Heights of a curve, and of one of many, pixels: all of a tab fit into 720."""
 
-SHOWN = 300.0
-"""Of a run that goes on for ever, the curves show the last s."""
+SHOWN_S = 300.0
+"""The end of a run that the curves show."""
 
 
 class DeckCurve(NamedTuple):
@@ -46,11 +46,11 @@ DECK_CURVES = (
     DeckCurve("speed of the deck down (m/s)", 3, 1.0),
 )
 
-AHEAD = 61
+POINTS_AHEAD = 61
 """Points of these curves."""
 
-WIDTH = 350
-"""Of the panel, pixels."""
+WIDTH_PX = 350
+"""Width of the panel."""
 
 STYLE = "<style>.uplot { width: 100% !important; }</style>"
 """A curve begins 0 pixels wide, and grows: its title and legend have their place from the begin."""
@@ -121,13 +121,13 @@ class Curves:
             self.gui.add_html(small(*HELP))
         self.names, self.units = names, units
         self.panel.dock_right()
-        self.panel.set_width(WIDTH)
+        self.panel.set_width(WIDTH_PX)
 
     def show(self) -> None:
         """Draw the curves up to now."""
         seen = self.session.history()
         if not isinstance(self.session, LogSession):
-            seen = seen.since(SHOWN)
+            seen = seen.since(SHOWN_S)
         if len(seen.t) < 2:  # nothing yet, or back at the begin of a log
             nothing = np.full(2, math.nan)
             none = np.full((2, len(self.names)), math.nan)
@@ -150,7 +150,7 @@ class Curves:
         for curve, drawn in zip(self.deck, DECK_CURVES, strict=True):
             curve.visible = motion is not None
             if motion is not None:
-                ahead = np.linspace(0.0, float(motion.t[-1] - motion.t0), AHEAD)
+                ahead = np.linspace(0.0, float(motion.t[-1] - motion.t0), POINTS_AHEAD)
                 mean, sd = (part[:, drawn.column] / drawn.unit for part in motion.at(ahead))
                 self._draw(curve, ahead, mean, mean - Z90 * sd, mean + Z90 * sd)
 

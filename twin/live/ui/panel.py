@@ -42,14 +42,14 @@ SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the nominal shaft speed, degrees."""
 
-LOSS = 10.0
-"""A short loss of GPS, s."""
+LOSS_S = 10.0
+"""A short loss of GPS."""
 
 ALARM = re.compile("LOST|DOUBTFUL|EXCLUDED")
 """What stands out among the words of the instruments."""
 
-LEFT = 290
-"""Width of the controls, pixels."""
+CONTROLS_PX = 290
+"""Width of the controls."""
 
 
 class Controls(ABC):
@@ -58,7 +58,7 @@ class Controls(ABC):
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self.gui, self.session = server.gui, session
         server.gui.main_panel.dock_left()
-        server.gui.main_panel.set_width(LEFT)
+        server.gui.main_panel.set_width(CONTROLS_PX)
         self.status = self.gui.add_html("")
         self.gui.add_html(key(path=isinstance(session, PolicySession)))
         self._add_time()
@@ -131,7 +131,7 @@ class LossControls(Controls):
         """Add buttons that lose sensors for a while, or until they are pressed again."""
         session = self.session
         with self.gui.add_folder("Sensors"):
-            self._button(f"lose GPS {LOSS:g} s", session.lose, "gps", LOSS, key="G")
+            self._button(f"lose GPS {LOSS_S:g} s", session.lose, "gps", LOSS_S, key="G")
             self.gps = self._button("lose GPS until pressed", session.toggle_loss, "gps")
             self.imu = self._button("lose IMU until pressed", session.toggle_loss, "imu")
 

@@ -18,11 +18,11 @@ __all__ = [
     "Viewer",
 ]
 
-CURVES = 0.5
-"""Time between two pictures of the curves, s."""
+CURVES_EVERY_S = 0.5
+"""Time between two pictures of the curves."""
 
-UNWATCHED = 1.0
-"""Time between two frames without a viewer, s."""
+UNWATCHED_FRAME_S = 1.0
+"""Time between two frames without a viewer."""
 
 
 class Viewer:
@@ -56,11 +56,11 @@ class Viewer:
         """Show frames until the user presses Ctrl-C or the session ends; raise what ended it."""
         due = 0.0
         while self.session.error is None:
-            fresh = self.session.fresh.wait(UNWATCHED)
+            fresh = self.session.fresh.wait(UNWATCHED_FRAME_S)
             self.session.fresh.clear()
             now = time.monotonic()
             if (fresh or self._curves_behind) and (now >= due or self.server.get_clients()):
-                due = now + UNWATCHED
+                due = now + UNWATCHED_FRAME_S
                 self.step(now)
         raise self.session.error
 
@@ -78,7 +78,7 @@ class Viewer:
             self._curves_behind = True
         # also while a session pauses: its last moment may not have been drawn yet
         if self._curves_behind and now >= self._curves_due:
-            self._curves_due = now + CURVES
+            self._curves_due = now + CURVES_EVERY_S
             self._curves_behind = False
             self.curves.show()
 

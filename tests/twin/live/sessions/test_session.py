@@ -15,7 +15,7 @@ from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession
-from twin.live.sessions.tracker import HORIZON, PLAN_STEP
+from twin.live.sessions.tracker import HORIZON_S, PLAN_STEP_S
 from twin.logs.datum import Datum, Plane
 from twin.logs.wire.feed import Feed
 from twin.sim.bridge import particulars_of, simulate
@@ -221,9 +221,9 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
         now = session.snapshot
         twin = Twin(particulars_of(VESSEL), "ukf")
         twin.run(log.slice(t1=now.t + 1e-6))
-        mean = twin.predict("hold", horizon=HORIZON, dt=PLAN_STEP).mean
+        mean = twin.predict("hold", horizon=HORIZON_S, dt=PLAN_STEP_S).mean
         np.testing.assert_allclose(now.overlay.ahead, mean)
-        later = log.slice(now.t + 1e-6, now.t + HORIZON + 1e-6)
+        later = log.slice(now.t + 1e-6, now.t + HORIZON_S + 1e-6)
         np.testing.assert_array_equal(now.ahead, later.truth[:, :2])
         row = np.argmin(np.abs(log.t - now.t))
         np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], log.truth[row, :2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin
-from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, TwinMonitor, overlay_of
+from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON_S, PLAN_STEP_S, TwinMonitor, overlay_of
 from twin.predictors.baselines import hold_velocity
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, Vessel
@@ -43,10 +43,10 @@ def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
         twin.step(t, z, cmd)
         seen.step(t, z, cmd, log.truth[row])
         if seen.predict() is not None:
-            mean = twin.predict("hold", horizon=HORIZON, dt=PLAN_STEP)
+            mean = twin.predict("hold", horizon=HORIZON_S, dt=PLAN_STEP_S)
             predicted[row] = mean.mean[-1, :2]
-            held[row] = hold_velocity(mean.start, mean.start[3:], np.array([HORIZON]))[0, :2]
-        begun = row - round(HORIZON / 0.05)
+            held[row] = hold_velocity(mean.start, mean.start[3:], np.array([HORIZON_S]))[0, :2]
+        begun = row - round(HORIZON_S / 0.05)
         if begun in predicted:
             assert seen.error == pytest.approx(math.dist(predicted[begun], log.truth[row, :2]))
             assert seen.error_hold == pytest.approx(math.dist(held[begun], log.truth[row, :2]))
@@ -105,6 +105,6 @@ def test_what_is_drawn_is_the_prediction():
     overlay = overlay_of(prediction)
     times, places, covs = overlay.interpolate(80)
     for h in (2.5, 5.0, 10.0):
-        k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP) - 1
+        k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP_S) - 1
         np.testing.assert_allclose(places[k], prediction.mean[row, :2], atol=1e-6)
         np.testing.assert_allclose(covs[k], prediction.cov[row, :2, :2], atol=1e-9)
