@@ -87,8 +87,9 @@ def check_command(
     checks: dict[Path, LogCheck] = {}
     if write is not None:
         checks = {log: check_log(log, mapping, boats.get(log)) for log in logs}
-        known = {} if waiting else boats  # the file that is written anew is that of the boat
-        missing = _write(write, list(checks.values()), {in_use[log]: boat for log, boat in known.items()})
+        # a file that is written anew is that of the boat
+        known = {} if waiting else {in_use[log]: boat for log, boat in boats.items()}
+        missing = _write(write, list(checks.values()), known)
         if not missing:
             boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
             checks = {log: found for log, found in checks.items() if log not in waiting}
