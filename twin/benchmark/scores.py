@@ -77,6 +77,11 @@ MAX_GAP = 3.0
 """No scoring further from a sample than this many typical steps, or as many half seconds."""
 
 
+def _reach(t: Array) -> float:
+    """Return how far from samples at times t to score, s."""
+    return MAX_GAP * max(0.5, float(np.median(np.diff(t))) if len(t) > 1 else 0.0)
+
+
 class Reference:
     """What predictions are scored against: the truth, or measured positions and headings."""
 
@@ -85,6 +90,7 @@ class Reference:
         if log.truth is not None:
             self.t, self.columns = [log.t] * 6, list(log.truth.T.copy())
             self.columns[2] = np.unwrap(self.columns[2])
+            self.reaches = [_reach(log.t)]
             return
         self.t, self.columns = [], []
         for entry in (0, 1, 4):
@@ -96,11 +102,11 @@ class Reference:
             values = log.z[seen, entry]
             self.t.append(log.t[seen])
             self.columns.append(np.unwrap(values) if entry == 4 else values)
+        self.reaches = [_reach(t) for t in self.t]
 
     def known(self, times: Array) -> bool:
         """Return whether there are samples near all of some times."""
-        for t in self.t[0 if self.measured else -1 :]:
-            reach = MAX_GAP * max(0.5, float(np.median(np.diff(t))) if len(t) > 1 else 0.0)
+        for t, reach in zip(self.t, self.reaches, strict=False):
             after = np.searchsorted(t, times).clip(max=len(t) - 1)
             distance = np.minimum(
                 np.abs(t[after] - times), np.abs(times - t[np.maximum(after - 1, 0)])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -58,7 +59,9 @@ HORIZON_S = 10.0
 """Length of the forecasts that are scored."""
 
 FORECAST_EVERY_S = 2.0
-"""Time between two of them."""
+FORECASTS_MAX = 600
+"""Least time between two of them, and about how many at most: in a longer log they stand further
+apart, evenly."""
 
 FORECAST_STEP_MIN_S = 0.25
 FORECAST_STEP_MAX_S = 0.5
@@ -210,7 +213,7 @@ class Verdict:
     answers : tuple of Answer
         Five, and a sixth where the log shows roll and pitch.
     forecasts : tuple of ScoredForecast
-        One every :data:`FORECAST_EVERY_S`.
+        One every :data:`FORECAST_EVERY_S`, but about :data:`FORECASTS_MAX` at most.
     losses : tuple of GpsLoss
         Those that were tried.
     notes : tuple of str
@@ -280,13 +283,11 @@ def judge(
     twin = Twin(particulars, predictor)
     twin.locate(run.datum)
     meter = TrustMeter(twin, run)
-
-    def each_row() -> None:
+    for row in run:
+        twin.step(*row)
         meter()
         if on_row is not None:
             on_row()
-
-    twin.run(run, each_row)
     return meter.verdict(findings)
 
 
@@ -318,6 +319,7 @@ class TrustMeter:
         self._span = span = last - first
         self._next = self._next_tilt = first + min(60.0, 0.4 * span)
         self._end = last - HORIZON_S
+        self._every = max(FORECAST_EVERY_S, (self._end - self._next) / FORECASTS_MAX)
         self._loss_length = min(LOSS_MAX_S, 0.4 * span)
         starts = np.linspace(max(self._next, first + 0.5 * span), last - self._loss_length, LOSSES)
         self._loss_starts = starts.tolist() if self._loss_length >= LOSS_MIN_S else []
@@ -351,11 +353,11 @@ class TrustMeter:
             return
         if self.twin.motion.active and self._next_tilt - 1e-9 <= t <= self._end + 1e-9:
             while self._next_tilt <= t + 1e-9:
-                self._next_tilt += FORECAST_EVERY_S
+                self._next_tilt += self._every
             self._note_tilt(row)
         if self._next - 1e-9 <= t <= self._end + 1e-9:
             while self._next <= t + 1e-9:
-                self._next += FORECAST_EVERY_S
+                self._next += self._every
             self._score(row, t)
         if self._loss_starts and t >= self._loss_starts[0] - 1e-9:
             del self._loss_starts[0]
@@ -363,8 +365,12 @@ class TrustMeter:
 
     def _plan(self, row: int, horizon: float) -> tuple[Array, float]:
         """Return the commands after a row, and the time between them, s."""
-        dt = min(max(self.log.dt, FORECAST_STEP_MIN_S), FORECAST_STEP_MAX_S)
-        return known_plan(self.log, row, horizon, dt), dt
+        return known_plan(self.log, row, horizon, self._dt), self._dt
+
+    @functools.cached_property
+    def _dt(self) -> float:
+        """Step of the forecasts, s."""
+        return min(max(self.log.dt, FORECAST_STEP_MIN_S), FORECAST_STEP_MAX_S)
 
     def _note_tilt(self, row: int) -> None:
         """Forecast roll and pitch from a row: the boat heels as it will turn until then."""

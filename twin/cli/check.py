@@ -84,15 +84,18 @@ def check_command(
         for log in logs
         if log not in waiting and (ship is not None or has_particulars(log))
     }
+    checks: dict[Path, LogCheck] = {}
     if write is not None:
-        checks = [check_log(log, mapping, boats.get(log)) for log in logs]
-        known = {} if waiting else boats  # the file that is written anew is that of the boat
-        missing = _write(write, checks, {in_use[log]: boat for log, boat in known.items()})
+        checks = {log: check_log(log, mapping, boats.get(log)) for log in logs}
+        # a file that is written anew is that of the boat
+        known = {} if waiting else {in_use[log]: boat for log, boat in boats.items()}
+        missing = _write(write, list(checks.values()), known)
         if not missing:
             boats |= {log: particulars_for_log(log, ship, mapping) for log in waiting}
+            checks = {log: found for log, found in checks.items() if log not in waiting}
     for log in logs:
         boat = boats.get(log)
-        found = check_log(log, mapping, boat)
+        found = checks.pop(log, None) or check_log(log, mapping, boat)
         print_notes(merged_notes(found.notes), said)
         print_check(found)
         verdict: Verdict | None = None

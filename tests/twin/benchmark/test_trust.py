@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Particulars, Prediction, Twin
+from twin.benchmark import trust
 from twin.benchmark.trust import (
     BAD,
     DOUBTFUL,
@@ -371,3 +372,16 @@ def test_fixes_that_the_twin_left_out_are_no_truth(
     assert forecast.numbers["displacement_m"] < good.answers[0].numbers["displacement_m"] + 2.0
     inside = [f for f in found.forecasts if begin < f.t < begin + 20.0]
     assert len(found.forecasts) < len(good.forecasts) and not inside
+
+
+def test_a_long_log_has_evenly_spread_forecasts_of_a_bounded_number(
+    boat: Particulars, log: Log, good: Verdict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log that reaches the bound just so keeps its forecasts; a longer one has the bound."""
+    monkeypatch.setattr(trust, "FORECASTS_MAX", len(good.forecasts))
+    assert verdict_of(boat, log, "dsw-ukf-plus").to_json() == good.to_json()
+    monkeypatch.setattr(trust, "FORECASTS_MAX", 10)
+    few = [each.t for each in verdict_of(boat, log, "dsw-ukf-plus").forecasts]
+    assert 10 <= len(few) <= 11
+    assert np.ptp(np.diff(few)) <= 2.0 * log.dt
+    assert few[-1] >= good.forecasts[-1].t - 2.0
