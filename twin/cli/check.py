@@ -19,8 +19,8 @@ from twin.cli.common import (
     ShipOption,
     console,
     keep_file,
+    keep_logs,
     note,
-    one_run,
     print_notes,
     row_progress,
     write_json,
@@ -75,7 +75,7 @@ def check_command(
     and a doubtful one); 2: it cannot be read.
     """
     keep_file(write, force, "--write")
-    one_run(logs, {"--out": picture, "--json": json_file})
+    keep_logs(logs, {"--out": picture, "--json": json_file})
     failed, said, missing = False, set[str](), list[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
     waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]

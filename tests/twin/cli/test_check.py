@@ -138,6 +138,11 @@ def test_several_logs_are_checked_in_turn(folder, faulty):
     assert "run: " in out and "bad: " in out
     said = run("check", folder / "run.csv", faulty, *quiet, "--json", "a.json", check=2).stderr
     assert "--json: that is for one log" in said
+    beside = folder / "run.toml"  # no run to sail through before it is told what it is
+    for command in ("check", "identify"):
+        out = run(command, folder / "run.csv", beside, check=2)
+        assert not out.stdout and f"{beside}: this is TOML of a boat" in out.stderr
+        assert "--ship" in out.stderr
 
 
 @pytest.mark.parametrize(
