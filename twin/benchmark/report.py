@@ -91,6 +91,7 @@ def write_report(
         folder.rmdir()
     rows = [*results.get("rows", ()), *results.get("summary", ())]
     predictors = [row["predictor"] for row in rows]
+    scored = {row["metric"] for row in results.get("summary", ())}
     drawn, runs = runs is not None, runs or []
     predictors += [name for run in runs for name in run.examples]
     pictures = Pictures(folder, predictor_styles(dict.fromkeys(predictors)), pdf)
@@ -109,7 +110,7 @@ def write_report(
         "loss_ends": results.get("losses", ()),
         **_motion(results),
         "cases": _cases(results, pictures, DRAWN_CASES_MAX if drawn else 0),
-        "metrics": METRICS,
+        "metrics": {name: METRICS[name] for name in METRICS if name in scored},
         "settings": _settings(results.get("settings", {})),
         "version": results.get("version", ""),
         "tuning": {name: item["tuning"] for name, item in results.get("predictors", {}).items()},
@@ -218,7 +219,7 @@ def _cases(results: Row, pictures: Pictures, drawn: int) -> list[dict[str, Any]]
         metrics = [metric for metric in METRICS if metric in there]
         few = len(cases) < drawn
         figure = growth_figure(title, channels, pictures.styles) if few else None
-        caption = "Mean absolute error against the horizon, mean over seeds, with the first plan."
+        caption = "Mean absolute error against the horizon, mean over runs, with the first plan."
         cases.append(
             {
                 "title": title,
