@@ -69,6 +69,7 @@ def _recorded(results: Row) -> list[dict[str, Any]]:
             **{key: row[key] for key in ("fault", "plan", "predictor", "runs")},
             **{"scenario": row["folder"], "case": row["fault"]},
             "metric": f"rmse_{row['channel']}_10s_over_{BASELINE}",
+            "of": f"rmse_{row['channel']}_10s",
             **{key: row[key] for key in ("low", "high")},
             "value": row["ratio"],
         }
@@ -98,7 +99,7 @@ def _paired(results: Row) -> list[dict[str, Any]]:
     ]
     return [
         {**row, "metric": f"{row['metric']}_{kind}_against_{row['against']}", "unit": "%"}
-        | {"reference": reference}
+        | {"of": row["metric"], "kind": kind, "reference": reference}
         for kind, rows, reference in (("change", found, 0.0), ("won", won, 50.0))
         for row in rows
     ]
@@ -243,10 +244,7 @@ def latex_text(results: Row) -> str:
             f"against {_escaped(against)} on the same runs, with its 95\\,\\% interval, below 0 is "
             "better, and the share of runs in which it is smaller."
         )
-        heads = {
-            name: (_escaped(f"{name.partition('_against_')[0]} (%)".replace("_", " ")), 1.0)
-            for (name,) in grouped(rows, "metric")
-        }
+        heads = {row["metric"]: (rf"{_noun(row)}, {row['kind']} (\%)", 1.0) for row in rows}
         tables.append(_latex_table(rows, heads, caption, f"{scenario}-{case}-{plan}-paired"))
     for (folder, fault, plan), rows in grouped(
         _recorded(results), "scenario", "fault", "plan"
@@ -258,8 +256,7 @@ def latex_text(results: Row) -> str:
             f"after 10\\,s over that of persistence, mean over {runs} "
             f"run{'s' if runs > 1 else ''}, best in bold."
         )
-        channels = {row["metric"]: row["metric"].split("_")[1] for row in rows}
-        heads = {m: ({"psi": "heading"}.get(name, name), 1.0) for m, name in channels.items()}
+        heads = {row["metric"]: (_noun(row), 1.0) for row in rows}
         tables.append(_latex_table(rows, heads, caption, f"{folder}-{fault}-{plan}"))
     return "\n".join(tables)
 
@@ -312,6 +309,11 @@ _SPECIAL = {
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
 }
+
+
+def _noun(row: Row) -> str:
+    """Return what the metric that a row compares is called, without its unit."""
+    return COLUMNS[row["of"].removeprefix("rmse_")][0].partition(" (")[0]
 
 
 def _planned(plan: str) -> str:

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 METRICS = {
     "mae": ("MAE", "mean absolute error over all channels and horizons, units mixed"),
-    "mae_median": ("median MAE", "median of the MAE over seeds"),
+    "mae_median": ("median MAE", "median of the MAE over runs"),
     "mse": ("MSE", "mean squared error, pooled in the same way"),
     "normalised": ("normalised error", "MAE over the size of the true change, mean of channels"),
     "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),

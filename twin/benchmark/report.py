@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin.benchmark.figures.data import RunFigure, example_times, reference_of
-from twin.benchmark.figures.results import growth_figure, verdict_figure
+from twin.benchmark.figures.results import growth_figure, has_intervals, verdict_figure
 from twin.benchmark.figures.runs import prediction_figure, track_figure
 from twin.benchmark.figures.style import Styles, picture_bytes, predictor_styles
-from twin.benchmark.metrics import METRICS, grouped
+from twin.benchmark.metrics import METRICS, ORACLE, grouped
 from twin.benchmark.motion_scores import SHOWN_UNITS, median_scores, shown_motion
 from twin.benchmark.verdict.summary import best_first, recorded_blocks, sentence_of
 from twin.benchmark.verdict.tables import best_text, interval, is_best, number, number_of
@@ -91,6 +91,7 @@ def write_report(
         folder.rmdir()
     rows = [*results.get("rows", ()), *results.get("summary", ())]
     predictors = [row["predictor"] for row in rows]
+    scored = {row["metric"] for row in results.get("summary", ())}
     drawn, runs = runs is not None, runs or []
     predictors += [name for run in runs for name in run.examples]
     pictures = Pictures(folder, predictor_styles(dict.fromkeys(predictors)), pdf)
@@ -109,7 +110,7 @@ def write_report(
         "loss_ends": results.get("losses", ()),
         **_motion(results),
         "cases": _cases(results, pictures, DRAWN_CASES_MAX if drawn else 0),
-        "metrics": METRICS,
+        "metrics": {name: METRICS[name] for name in METRICS if name in scored},
         "settings": _settings(results.get("settings", {})),
         "version": results.get("version", ""),
         "tuning": {name: item["tuning"] for name, item in results.get("predictors", {}).items()},
@@ -178,6 +179,7 @@ def _verdict(rows: Sequence[Row]) -> dict[str, Any]:
             for (name,), block in grouped(rows, "predictor").items()
         },
         "losses": losses,
+        "intervals": has_intervals(rows),
         "verdict_heads": [
             *(f"{title}, {names[loss]}" for title in titles for loss in losses),
             "MAE",
@@ -218,7 +220,7 @@ def _cases(results: Row, pictures: Pictures, drawn: int) -> list[dict[str, Any]]
         metrics = [metric for metric in METRICS if metric in there]
         few = len(cases) < drawn
         figure = growth_figure(title, channels, pictures.styles) if few else None
-        caption = "Mean absolute error against the horizon, mean over seeds, with the first plan."
+        caption = "Mean absolute error against the horizon, mean over runs, with the first plan."
         cases.append(
             {
                 "title": title,
@@ -261,10 +263,10 @@ def _first_pictures(
     """Return the bars and the track at the top of the page."""
     shown = []
     if verdict:
-        caption = (
-            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats; longer "
-            "bars are cut. oracle is the true ship in the mean wind."
-        )
+        drawn = ", with 95 % bootstrap intervals over boats" if has_intervals(verdict) else ""
+        caption = f"Mean absolute errors after 10 s{drawn}; what ends in an arrow is longer."
+        if any(row["predictor"] == ORACLE for row in verdict):
+            caption += " oracle is the true ship in the mean wind."
         figure = verdict_figure(verdict, pictures.styles)
         shown.append(pictures.add(figure, "verdict", caption))
     return shown if run is None else [*shown, _track(run, pictures)]

@@ -81,8 +81,8 @@ def benchmark_command(
     check: Annotated[
         str | None,
         typer.Option(
-            help="Only check that no forecast of a predictor (a name, or module:Class) uses rows "
-            "after its origin, and that all are finite. Exit code 1: it fails."
+            help="Only check that forecasts of a predictor (a name, or module:Class) are finite, "
+            "and equal those from logs cut at their origins. Exit code 1: it fails."
         ),
     ] = None,
     scenarios: Annotated[
@@ -330,7 +330,7 @@ def match_files(given: Path) -> list[str]:
 
 
 def _check(name: str) -> None:
-    """Print whether a predictor's forecasts use no later rows; exit code 1 if they do."""
+    """Print whether forecasts equal those from logs cut at their origins; exit code 1 if not."""
     from twin.benchmark.conformance import ContractError, check_predictor
 
     try:
@@ -339,9 +339,8 @@ def _check(name: str) -> None:
     except ContractError as error:
         errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from None
-    console.print(
-        f"{name}: {count} forecasts are finite, and use no row after their origin", highlight=False
-    )
+    said = f"{name}: {count} forecasts are finite, and equal those from logs cut at their origins"
+    console.print(said, highlight=False, soft_wrap=True)
 
 
 def _run_all(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -19,8 +21,8 @@ from twin.cli.common import (
     ShipOption,
     console,
     keep_file,
+    keep_logs,
     note,
-    one_run,
     print_notes,
     row_progress,
     write_json,
@@ -75,7 +77,7 @@ def check_command(
     and a doubtful one); 2: it cannot be read.
     """
     keep_file(write, force, "--write")
-    one_run(logs, {"--out": picture, "--json": json_file})
+    keep_logs(logs, {"--out": picture, "--json": json_file})
     failed, said, missing = False, set[str](), list[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
     waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
@@ -140,15 +142,26 @@ def _is_renewed(path: Path, in_use: Path) -> bool:
     return path.resolve() == in_use.resolve() and _are_particulars(path)
 
 
+def _seen_from(path: Path, file: Path) -> str:
+    """Return the text of a file of particulars, its prior as the path counts from another file."""
+
+    def moved(line: re.Match[str]) -> str:
+        prior = Path(os.path.relpath(file.parent / line[3], path.parent))
+        return line[1] + json.dumps(prior.as_posix())
+
+    text = file.read_text(encoding="utf-8")
+    return re.sub(r"""(?m)^(\s*prior\s*=\s*)(["'])(.*?)\2""", moved, text)
+
+
 def _write(path: Path, checks: Sequence[LogCheck], boats: Mapping[Path, Particulars]) -> list[str]:
     """Write the particulars of a boat as its logs show them, and return the keys still to fill in.
 
-    What a user wrote by hand stays: in the files of ``boats``, and in the one that is replaced.
+    What is of no log stays: of the files of ``boats``, and of the one that is replaced.
     """
     text, kept = checks[0].particulars_text(checks[1:]), ""
     sources = {
-        str(file): file.read_text(encoding="utf-8")
-        if _are_particulars(file) and boat.prior is None  # its path counts from that folder
+        str(file) if file.exists() else boat.name: _seen_from(path, file)
+        if _are_particulars(file)
         else boat.to_toml()
         for file, boat in boats.items()
     }
@@ -162,10 +175,10 @@ def _write(path: Path, checks: Sequence[LogCheck], boats: Mapping[Path, Particul
         )
     first = dict(list(sources.items())[:1])
     if _are_particulars(path):
-        first[str(path)] = path.read_text(encoding="utf-8")
+        first[str(path)] = _seen_from(path, path)
     for file, source in first.items():
         text, by_hand = renewed(text, source)
-        found = f"{', '.join(by_hand)}, written by hand" if by_hand else "nothing"
+        found = f"{', '.join(by_hand)}, which are of no log" if by_hand else "nothing"
         kept += f"; kept of {file}: {found}"
     write_text(path, text)
     console.print(f"particulars: {path}{kept}", soft_wrap=True)

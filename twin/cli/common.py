@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 
+from twin.logs.kinds import kind_of
 from twin.predictors.named_options import split_names
 from twin.predictors.registry import PREDICTORS
 from usv_gym.design.seaway import warning_of
@@ -264,8 +265,11 @@ def keep_format(path: Path | None, option: str) -> None:
         raise OptionError(f"{path}: {option} writes no {path.suffix}; choose another ending")
 
 
-def one_run(logs: Sequence[Path], options: Mapping[str, object]) -> None:
-    """Refuse options that are for one log, where there are several."""
+def keep_logs(logs: Sequence[Path], options: Mapping[str, object]) -> None:
+    """Refuse TOML among logs, before any is read, and options for one log where there are more."""
+    for log in logs:
+        if log.suffix == ".toml" and (kind := kind_of(log.read_bytes())):
+            raise OptionError(f"{log}: this is {kind}")
     given = [name for name, value in options.items() if value is not None]
     if len(logs) > 1 and given:
         raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one log")

@@ -20,7 +20,7 @@ from twin.cli.common import (
     console,
     explain,
     keep_file,
-    one_run,
+    keep_logs,
     print_notes,
     row_progress,
     write_json,
@@ -88,7 +88,7 @@ def identify_command(
     """
     keep_file(save_prior, force, "--save-prior")
     logs = list(dict.fromkeys(logs))
-    one_run(logs, {"--save": save, "--out": out, "--json": json_file})
+    keep_logs(logs, {"--save": save, "--out": out, "--json": json_file})
     together = save_prior is not None or len(logs) > 1
     runs, said = [], set[str]()
     for path in logs:

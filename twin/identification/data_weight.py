@@ -103,9 +103,6 @@ LAGS_S = (2.0, 6.0, 14.0)
 """Twice the log-likelihood ratio above which thrust or current have changed, and the times before
 the last segment at which a change is tested."""
 
-UNTRIED = "the prior, as there is too little usable data for a refit"
-"""Name of the candidate before the first refit."""
-
 _NAMES = {
     PRIOR: "the prior, as no refit forecasts better",
     JOINT: "the joint filter",
@@ -390,9 +387,7 @@ class DataWeightSelector:
 
     @property
     def name(self) -> str:
-        """The candidate in use, in plain words."""
-        if not self.refitted:
-            return UNTRIED
+        """The candidate in use after the first refit, in plain words."""
         return _NAMES.get(self.chosen) or self._refit_name(self.chosen)
 
     def _refit_name(self, r: int) -> str:

@@ -234,16 +234,19 @@ def renewed(text: str, old: str) -> tuple[str, list[str]]:
     tables, kept = _lines_by_key(text), list[str]()
     given, usual = tomllib.loads(old).get("instruments", {}), Instruments()
     for table, lines in _lines_by_key(old).items():
+        parent, _, name = table.rpartition(".")
+        tables.get(parent, {}).pop(name, None)  # a prior is a table, or the name of a file
         for key, line in lines.items():
+            tables.pop(f"{table}.{key}", None)
             new = tables.setdefault(table, {}).get(key, "")
             same = line.partition("#")[0].strip() == new.partition("#")[0].strip()
             by_hand = old.startswith(HEAD) and given.get(key) != getattr(usual, key, None)
             of_log = table == "instruments" and MARK in new and not by_hand
             if not (of_log or MARK in line or line.startswith("#")):
                 tables[table][key] = line
-                kept += [] if same else [key]
+                kept += [] if same else [table.partition(".")[2] or key]
     parts = ["\n".join([f"[{table}]", *lines.values()]) for table, lines in tables.items()]
-    return text[: text.index("\n[") + 1] + "\n\n".join(parts) + "\n", kept
+    return text[: text.index("\n[") + 1] + "\n\n".join(parts) + "\n", [*dict.fromkeys(kept)]
 
 
 def _lines_by_key(text: str) -> dict[str, dict[str, str]]:

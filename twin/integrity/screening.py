@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from twin.integrity.bank import VE, VN, G
+from twin.integrity.bank import FALSE_ALARM, VE, VN, G
 from usv_kernel.jit import inlined
 
 __all__ = ["PARTS", "find_frozen", "screen"]
@@ -22,6 +22,12 @@ FIX, VELOCITY, COMPASS, GYRO, ACCELEROMETERS = range(5)
 FROZEN_INTERVALS = 6.0
 """Typical intervals between new samples after which a repeated sample counts as frozen."""
 
+COARSE = 2.0 * math.sqrt(math.pi) * FALSE_ALARM ** (1.0 / FROZEN_INTERVALS)
+"""Steps, in standard deviations of the noise, above which so many samples may well be equal.
+
+Two samples of white noise round to one number with the probability step / (2 sqrt(pi) sd).
+"""
+
 MASKED_S = 0.5
 MASKED_SAMPLES = 2.5
 """Exclusion of a sensor after an impossible number: time, and samples if that is longer."""
@@ -29,8 +35,9 @@ MASKED_SAMPLES = 2.5
 MOVING_SHARE = 0.1
 """Share of the nominal speed above which the boat counts as moving."""
 
-TURNED_SD = 3.0
-"""Standard deviations by which a heading must have changed for a compass to show it."""
+CHANGED_SD = 3.0
+"""Standard deviations by which heading or velocity must have changed for a coarse sensor to show
+it."""
 
 REPEAT_USED_S = 1.0
 """Time between uses of a sample that repeats the last one, as that of a resting boat."""
@@ -64,16 +71,26 @@ def screen(dt, z, memory, given):
 
 @inlined
 def _shows_motion(part, memory, given):
-    """Return whether a sensor would show something new, as the boat moved since it did."""
+    """Return whether a sensor would show something new, as the boat moved since it did.
+
+    A velocity of coarse steps repeats itself at a steady speed: it must differ from that of the
+    filter in force by a step and :data:`CHANGED_SD`.
+    """
     bank = memory.bank
     one = bank.filters[int(bank.force_filter)]
     speed = math.hypot(one.x[VN], one.x[VE])
     if bank.begun == 0.0:
         return False
     if part == COMPASS:
-        return memory.turned > TURNED_SD * math.sqrt(given.bank.compass_var)
+        return memory.turned > memory.step[part] + CHANGED_SD * math.sqrt(given.bank.compass_var)
     if part <= VELOCITY and speed * memory.unchanged[part] < math.sqrt(given.bank.fix_var):
         return False
+    step, var = memory.step[part], given.bank.velocity_var
+    if part == VELOCITY and (step == 0.0 or step > COARSE * math.sqrt(var)):
+        off = math.hypot(one.x[VN] - memory.last[2], one.x[VE] - memory.last[3])
+        sd = math.sqrt(var + max(one.P[VN, VN], one.P[VE, VE]))
+        if off < step + CHANGED_SD * sd:
+            return False
     return speed > (MOVING_SHARE if part <= VELOCITY else 2.0 * MOVING_SHARE) * given.drives.speed
 
 
@@ -114,6 +131,10 @@ def find_frozen(dt, memory, given):
             memory.unchanged[part] = memory.frozen[part] = 0.0
             if part == COMPASS:
                 memory.turned = 0.0
+            step = 0.0
             for j in range(first, end):
+                step = math.hypot(step, z[j] - memory.last[j])
                 memory.last[j] = z[j]
+            if step < memory.step[part] or (memory.step[part] == 0.0 and not math.isnan(step)):
+                memory.step[part] = step
         memory.unused[part] = 0.0

@@ -96,6 +96,7 @@ INTEGRITY = np.dtype(
         ("decision", DECISION),
         ("drives", DRIVES),
         ("last", "f8", 8),  # last new sample of each channel; NaN before the first
+        ("step", "f8", PARTS),  # smallest change of a part, in its unit; 0 before the first
         ("unchanged", "f8", PARTS),  # time since a part gave something new, s
         ("unused", "f8", PARTS),  # time since a sample of it was used, s
         ("renewal", "f8", PARTS),  # typical time between new samples, s

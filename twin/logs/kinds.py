@@ -48,7 +48,12 @@ _TEXTS = {
     rb"(\d+;\w;)?[\s\[]*\{.{0,2000}\"(updates|context)\"\s*:": (
         f"a file of Signal K deltas, one JSON object a line; {_BY_HAND}"
     ),
-    rb"\s*(#[^\n]*\n\s*)*\[[\w.]+\]\s*\n": "TOML, as mappings are; name the log itself",
+    rb"\s*((#|\w+ *=)[^\n]*\n\s*)*\[\[?(particulars|instruments|deck|ship|hull|vessel)\]": (
+        "TOML of a boat, not a log; name the log, and this with --ship"
+    ),
+    rb"\s*((#|\w+ *=)[^\n]*\n\s*)*\[\[?[\w.]+\]\]?\s*(#|\n)": (
+        "TOML, as mappings are, not a log; name the log, and this with --mapping"
+    ),
     rb"\s*[\[{]": f"JSON; {_BY_HAND}",
     rb"(---\n)?[a-z_]+:[^\n]*\n(.*\n)?---\n": (
         "YAML, as ros2 topic echo prints it; record the topics in its place: ros2 bag record"

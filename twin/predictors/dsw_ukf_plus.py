@@ -26,7 +26,7 @@ from twin.identification.data_weight import DataWeightSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability
 from twin.identification.joint_ukf import JointUKF
-from twin.identification.prediction_error import COLUMNS, FIRST, NONE, RefitSettings
+from twin.identification.prediction_error import COLUMNS, FIRST, GOOD, NONE, RefitSettings
 from twin.identification.segments import Segments
 from twin.identification.wave_residual import FACTOR
 from twin.identification.window import WINDOW
@@ -52,6 +52,8 @@ from twin.predictors.forecast import (
     steps_of_waves,
 )
 from twin.predictors.plus_update import (
+    SEGMENTS_MIN,
+    UNFIT,
     WAVE_WORK,
     PlusConfig,
     PlusMemory,
@@ -257,7 +259,18 @@ class PlusPredictor(UKFPredictor):
     def parameters_in_use(self) -> ParametersInUse:
         """See :meth:`twin.predictors.base.Predictor.parameters_in_use`."""
         own = self.selector
-        return ParametersInUse(own.name, own.uses_prior, own.best_refit())
+        name = own.name if own.refitted else self._lacking()
+        return ParametersInUse(name, own.uses_prior, own.best_refit())
+
+    def _lacking(self) -> str:
+        """Return what is missing for a first refit, and how much of it there is."""
+        good = self.rows[: self.last_row + 1, GOOD]
+        lost = GRID * np.bincount(-np.minimum(good, 0.0).astype(int), good <= 0.0, len(UNFIT))
+        return (
+            f"the prior, as a refit needs {SEGMENTS_MIN} usable stretches of {self.refit.horizon:g}"
+            f" s, {self.refit.spacing:g} s apart, and has {(self.segments.first >= 0).sum()}: of "
+            f"the last {GRID * len(good):g} s, {GRID * (good > 0.0).sum():g} s are usable"
+        ) + "".join(f"; {UNFIT[k]}: {lost[k]:g} s" for k in np.flatnonzero(lost))
 
     def identifiability(self) -> Identifiability:
         """Return the identifiability of the parameters; none is informed under the prior."""

@@ -73,6 +73,8 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
 __all__ = [
+    "SEGMENTS_MIN",
+    "UNFIT",
     "WAVE_WORK",
     "PlusConfig",
     "PlusMemory",
@@ -88,6 +90,15 @@ HEADING_SD_MAX_RAD = 0.1
 ROW_AGE_MAX_S = 2.5
 """Largest standard deviations of velocity (nominal speeds) and heading of a fitted row, and
 greatest age of the row before it."""
+
+UNFIT = (
+    f"rows more than {ROW_AGE_MAX_S:g} s apart",
+    f"no fix for {ROW_AGE_MAX_S:g} s",
+    "sensors or commands in doubt",
+    f"sd of the speed above {SPEED_SD_MAX:g} nominal speeds",
+    f"sd of the heading above {math.degrees(HEADING_SD_MAX_RAD):.1f} degrees",
+)
+"""Why a row is not fitted: its GOOD is minus the index."""
 
 WAVE_SPAN_S = 60.0
 """Window of the residuals from which waves are predicted and drawn."""
@@ -402,9 +413,17 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         if selector.count[SCORED] >= SEGMENTS_MIN and int(selector.count[CHOSEN]) == JOINT:
             _average_parameters(state, selector, memory, model)
     fast = (SPEED_SD_MAX * 0.25 * given.envelope[0]) ** 2
-    sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_SD_MAX_RAD**2
-    trusted = nav.gps_age <= ROW_AGE_MAX_S and not is_learning_suspended(nav)
-    good = 1.0 if sure and dt <= ROW_AGE_MAX_S and trusted else 0.0
+    good = 1.0
+    if P[PSI, PSI] >= HEADING_SD_MAX_RAD**2:
+        good = -4.0
+    if P[U, U] >= fast or P[V, V] >= fast:
+        good = -3.0
+    if is_learning_suspended(nav):
+        good = -2.0
+    if nav.gps_age > ROW_AGE_MAX_S:
+        good = -1.0
+    if dt > ROW_AGE_MAX_S:
+        good = 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= ROW_AGE_MAX_S:
         window.refit_at = t + refit.period - 1e-9

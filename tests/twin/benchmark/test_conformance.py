@@ -181,7 +181,7 @@ def test_entry_points_join_the_registry(own):
 @pytest.mark.parametrize(
     ("name", "code", "word"),
     [
-        ("some_body:Mine", 0, "no row after"),
+        ("some_body:Mine", 0, "2 forecasts are finite, and equal those from logs cut"),
         ("some_body:Counts", 1, "some_body:Counts: after"),
         ("some_body:Nobody", 2, "Nobody"),
     ],

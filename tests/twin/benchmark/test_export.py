@@ -201,6 +201,8 @@ def test_verdict_and_paired_tests_are_in_both_tables():
     assert "All scenarios (turn and zigzag, no loss and gps10, future commands held)" in tables[0]
     assert any(r"my\_own:Mine & -12.5 & 83.3 \\" in table for table in tables)
     assert any("lake" in table and r"my\_own:Mine & 7.50 & 50.0 \\" in table for table in tables)
+    for name in ("MAE", "heading"):  # as the other tables have it, not as the results
+        assert rf"predictor & {name}, change (\%) & {name}, won (\%) \\" in text
     assert text.count("{") == text.count("}")
 
 

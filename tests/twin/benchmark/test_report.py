@@ -226,6 +226,29 @@ def test_each_bar_has_its_number_beside_it_also_one_that_is_cut():
             assert 0.0 < box.x0 - end < 20.0
 
 
+@pytest.mark.parametrize("oracle", [False, True])
+@pytest.mark.parametrize("high", [None, 1.1, 7.0])
+def test_pictures_and_their_captions_say_what_is_drawn(tmp_path, oracle, high):
+    """An interval that leaves the axis ends in an arrow; what is not drawn is not named."""
+    names = ("persistence", "ukf", *(("oracle",) if oracle else ()))
+    rows = [
+        {"predictor": name, "loss": loss, "cases": ["none"], "plan": "known", "scenarios": ["turn"]}
+        | {f"{panel}{end}": v for panel in ("position_m", "heading_deg") for end, v in ends.items()}
+        | {"ratio": None, "mae": 1.0, "mse": 1.0, "next": None, "wins": 0, "runs": 4}
+        for name in names
+        for loss in ("none", "all")
+        for ends in [{"": 1.0} | ({"_low": 0.5, "_high": high} if high and name == "ukf" else {})]
+    ]
+    picture = verdict_figure(rows, predictor_styles(names))
+    far = high is not None and high > 1.2
+    for ax in picture.axes:
+        assert [line.get_xdata()[0] for line in ax.lines if line.get_marker() == ">"] == [1.2] * far
+        assert [text.get_text() for text in ax.texts][1] == "1.00" + " (to 7.00)" * far
+    text = page(write_report(tmp_path, results(names, verdict=rows), []))
+    assert (text.count("95 % bootstrap intervals") > 0) == (high is not None)
+    assert ("oracle is the true ship" in text) == oracle
+
+
 @pytest.mark.parametrize("factor", [1e300, math.inf])
 def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
     with np.errstate(all="ignore"):
@@ -312,7 +335,8 @@ def test_a_report_on_own_logs_says_nothing_of_simulated_boats(tmp_path):
     settings = {"scenarios": (), "seeds": (0,), "vessel": "usv75", "hs": 0.5, "logs": ("a.csv",)}
     own = RunFigure("a", "none", None, sail(truth=False), [], {"ukf": figure()})
     text = page(write_report(tmp_path, results() | {"settings": settings}, [own]))
-    assert "a.csv" in text and "usv75" not in text and "seed 0" not in text
+    assert "a.csv" in text and not re.search("usv75|seed|boats|oracle", text)
+    assert "<b>MAE</b>" in text and "<b>E</b>" not in text  # only what a table has is explained
     assert (tmp_path / "pictures" / "a_none_track.svg").exists()
 
 

@@ -93,7 +93,7 @@ def test_particulars_written_anew_keep_what_was_written_by_hand(faulty, tmp_path
     text = text.replace("gps_arm = [0.0, 0.0, 0.0]", "gps_arm = [\n  1.0, 0.0,\n  -2.0,\n]")
     path.write_text(text + "\n[deck]\nmax_speed = 0.4\n")
     out = run("check", faulty, *quiet, "--force", check=1).stdout
-    assert "length, beam, draft, mass, gyro_sd, gps_arm, max_speed, written by hand" in out
+    assert "length, beam, draft, mass, gyro_sd, gps_arm, max_speed, which are of no log" in out
     boat = Particulars.load(path)
     assert (boat.length, boat.mass, boat.deck.max_speed) == (6.3, 3000.0, 0.4)
     assert (boat.instruments.gyro_sd, boat.instruments.gps_arm) == (0.003, (1.0, 0.0, -2.0))
@@ -138,6 +138,11 @@ def test_several_logs_are_checked_in_turn(folder, faulty):
     assert "run: " in out and "bad: " in out
     said = run("check", folder / "run.csv", faulty, *quiet, "--json", "a.json", check=2).stderr
     assert "--json: that is for one log" in said
+    beside = folder / "run.toml"  # no run to sail through before it is told what it is
+    for command in ("check", "identify"):
+        out = run(command, folder / "run.csv", beside, check=2)
+        assert not out.stdout and f"{beside}: this is TOML of a boat" in out.stderr
+        assert "--ship" in out.stderr
 
 
 @pytest.mark.parametrize(
@@ -217,7 +222,10 @@ def test_only_what_was_written_by_hand_in_the_file_of_the_boat_is_kept(folder, t
     file.write_text(hand)
     out = run("check", a, *quiet, new, check=None).stdout
     assert Particulars.load(new).speed == 0.5
-    assert re.search(r"kept of \S*a\.toml: [^;]*\bspeed\b[^;]*, written by hand", out)
+    assert re.search(r"kept of \S*a\.toml: [^;]*\bspeed\b[^;]*, which are of no log", out)
+    # a vessel wrote nothing by hand: its name stands for what is taken of it
+    out = run("check", a, "--ship", "otter", *quiet, tmp_path / "otter.toml", check=None).stdout
+    assert "kept of otter: " in out and "hand" not in out
     new.unlink()
     file.write_text(tagged)
     run("check", a, *quiet, new, check=None)
@@ -228,6 +236,24 @@ def test_only_what_was_written_by_hand_in_the_file_of_the_boat_is_kept(folder, t
     run("check", a, b, *quiet, file, check=None)
     assert Particulars.load(file).speed == computed.speed
     assert re.search("(?m)^shaft_speed = .*# log: ", file.read_text())
+
+
+def test_a_prior_is_kept_in_another_folder_and_beside_one_that_is_written_out(folder, tmp_path):
+    kept, new = tmp_path / "boat.toml", tmp_path / "new" / "boat.toml"
+    run("identify", folder / "run.csv", "--save-prior", tmp_path / "boat.prior")
+    head, boat = "[particulars]\n", (folder / "run.toml").read_text()
+    kept.write_text(boat.replace(head, f'{head}prior = "boat.prior"\n'))
+    quiet = ("--no-twin", "--no-picture", "--force", "--ship", kept, "--write", new)
+    out = run("check", folder / "run.csv", *quiet, check=None).stdout
+    # only what the file of the boat says; the instruments that it lacks are of the log, or usual
+    said = re.search(r"kept of \S*boat\.toml: (.*), which are of no log", " ".join(out.split()))
+    assert said and set(said[1].split(", ")) <= set(re.findall(r"(?m)^(\w+) = ", kept.read_text()))
+    assert 'prior = "../boat.prior"' in new.read_text()
+    new.write_text(Particulars.load(kept).to_toml())
+    for ship in (kept, new):
+        shown = (*quiet[:-3], ship, "--write", new)
+        run("check", folder / "run.csv", *shown, check=None)
+        assert Particulars.load(new).prior == Particulars.load(kept).prior
 
 
 def test_what_is_missing_is_said_once(folder, tmp_path):

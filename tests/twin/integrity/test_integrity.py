@@ -13,8 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from twin import Log, Particulars, Twin
 from twin.benchmark.loading import with_faults
-from twin.integrity.monitor import SensorMonitor, SensorStatus
-from twin.integrity.state import SENSORS
+from twin.channels import MEASUREMENTS
+from twin.integrity.monitor import SensorMonitor, SensorStatus, run_over
+from twin.integrity.state import FROZEN, SENSORS
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import parse_faults
@@ -291,3 +292,28 @@ def test_rare_rows_of_a_boat_without_compass_are_used():
         row = np.array([10.0 * k, 1.0, *[np.nan] * 17])
         used = monitor.take(5.0 * k, 5.0, row, np.zeros(4), np.zeros(6), False, NO_MOTION)[0]
         assert used[0] == 10.0 * k
+
+
+@pytest.mark.parametrize("every", [1, 4, 20])
+@pytest.mark.parametrize("step", [0.1, 0.5])
+def test_a_coarse_velocity_is_frozen_only_if_the_boat_has_changed_its_own(step, every):
+    """Steps of ``step`` kn without noise stand still on a straight leg, and not in a turn."""
+    rng, t = np.random.default_rng(1), 0.05 * np.arange(2400)
+    r = np.where(t // 40 % 2 == 0, 0.15 * np.sin(0.1 * np.pi * t), 0.0)
+    psi = 0.05 * np.cumsum(r)
+    v, z = (
+        3.0 * np.stack([np.cos(psi), np.sin(psi)], axis=1),
+        np.full((len(t), len(MEASUREMENTS)), np.nan),
+    )
+    z[:, :2] = 0.05 * np.cumsum(v, axis=0) + 0.3 * rng.standard_normal((len(t), 2))
+    z[:, 2:4] = (step * 0.5144) * np.round(v / (step * 0.5144))
+    noise = np.array([0.01, 0.002, 0.05, 0.05]) * rng.standard_normal((len(t), 4))
+    z[:, 4:8] = np.stack([psi, r, 0.0 * r, 3.0 * r], axis=1) + noise
+    z[np.arange(len(t)) % every > 0, :4] = np.nan
+    cmd = np.tile([15.0, 15.0, 0.0, 0.0], (len(t), 1))
+    about = dataclasses.replace(particulars_of(Vessel.load("usv75")), speed=3.0, shaft_speed=15.0)
+    assert not (run_over(about, t, z, cmd)[1][:, 0] == FROZEN).any()
+    frozen = t >= 85.0
+    z[frozen, 2:4] += z[1700, 2:4] - z[frozen, 2:4]  # where there is a sample
+    named = t[run_over(about, t, z, cmd)[1][:, 0] == FROZEN]
+    assert 85.0 < named[0] < 85.0 + 6.0 * 0.05 * every + 4.0

@@ -141,7 +141,9 @@ OTHERS = {
     b"header:\n  stamp:\n    sec: 1\n---\nheader:\n": "YAML",
     b'received_at,protocol,raw_data\n2024,NMEA0183,"$GPRMC,093000.00,A"\n': "CSV of NMEA 0183",
     b"\x93NUMPY\x01\x00v\x00{'descr'": "a NumPy array",
-    b"# Main particulars for the twin.\n\n[particulars]\nlength = 2.0\n": "TOML",
+    b"# Main particulars for the twin.\n\n[particulars]\nlength = 2.0\n": "TOML of a boat",
+    b'[[ship]]\nname = "one"\n': "TOML of a boat",
+    b'zone = "UTC"\n\n[columns]  # of ours\nt_s = "t"\n': "TOML, as mappings are",
     b"ARROW1\0\0": "an Arrow or Feather file",
     b"\xb5\x62\x01\x07\x5c\x00": "a record of a u-blox receiver",
 }

@@ -17,7 +17,7 @@ from twin.integrity.log_check import check_log
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.marks import marks_of
-from twin.logs.proposal.header_words import other_side
+from twin.logs.proposal.header_words import is_shaft, other_side, sides_of
 from twin.logs.proposal.propose import propose
 
 ROWS = 1200
@@ -90,6 +90,8 @@ def test_a_yaw_rate_is_no_heading(tmp_path: Path, name: str) -> None:
         ),
         *(("servo_helm", "esc"), ("delta_us", "pwm"), ("str_out", "thr_out"), ("Lenkung", "Gas")),
         *(("Ruderlage", "Gashebel"), ("timón", "acelerador"), ("barre", "moteur")),
+        *(("pwm_timon", "pwm_acelerador"), ("timon_us", "hélice_us"), ("leme_pwm", "propulsor")),
+        *(("gouvernail_pwm", "manette_pwm"), ("timone", "elica"), ("roer", "schroef")),
     ],
 )
 def test_pulses_of_steering_and_throttle_are_both(tmp_path: Path, names: tuple[str, str]) -> None:
@@ -134,6 +136,24 @@ def test_a_turn_beside_two_shafts_is_a_yaw_rate_where_the_heading_says_so(
     assert re.search(r'gyro_radps = .*"turn"', text) and "delta_rad = 0.0" in text
     text = propose(write(tmp_path / "a.csv", columns | {"turn": np.sign(rate)})).text("a.csv")
     assert "gyro_radps" not in text and "left out: turn" in text
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        *(("propulsor_izq_pwm", "propulsor_der_pwm"), ("motor_izquierdo", "motor_derecho")),
+        *(("elica_sx", "elica_dx"), ("schroef_bakboord", "schroef_stuurboord")),
+        *(("propulsor esquerdo", "propulsor direito"), ("propell_babord", "propell_styrbord")),
+    ],
+)
+def test_pulses_of_two_sides_are_left_and_right(tmp_path: Path, names: tuple[str, str]) -> None:
+    columns = boat()
+    left, right = columns.pop("rpm_left"), columns.pop("rpm_right")
+    columns |= {names[1]: 1500.0 + 0.1 * right, names[0]: 1520.0 + 0.1 * left}
+    assert (is_shaft(names[0]), sides_of(sorted(names))) == (True, names)
+    text = propose(write(tmp_path / "a.csv", columns)).text("a.csv")
+    assert re.search(rf'(?m)^n_left_rps = .*"{names[0]}"', text)
+    assert re.search(rf'(?m)^n_right_rps = .*"{names[1]}"', text)
 
 
 def skid_boat() -> Columns:

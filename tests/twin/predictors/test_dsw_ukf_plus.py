@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -35,6 +36,7 @@ from twin.predictors.plus_update import (
 )
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
+from usv_kernel.channels import GPS_VY
 from usv_kernel.jit import kernel
 from usv_kernel.records import as_record, structured
 
@@ -290,6 +292,29 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
         begin = began + GRID * first
         end = begin + GRID * predictor.segments.steps
         assert end < 30.0 + 1e-9 or begin > 30.0 + start - GRID
+
+
+@pytest.mark.parametrize(
+    ("gps_s", "every_s", "why"),
+    [(9.0, 0.05, ""), (1.0, 0.05, "no fix for 2.5 s"), (60.0, 3.0, "rows more than 2.5 s apart")],
+)
+def test_before_a_refit_it_says_what_is_missing(
+    boat: Particulars, zigzag: Log, gps_s: float, every_s: float, why: str
+) -> None:
+    """9 usable seconds are too few for three stretches of 7 s that begin 2 s after each other."""
+    log = thinned(zigzag, np.arange(0.0, 60.0 if why else 9.0, every_s))
+    log.z[log.t > gps_s, : GPS_VY + 1] = math.nan
+    predictor = PlusPredictor(boat)
+    feed(predictor, log)
+    name = predictor.parameters_in_use().name
+    number = r"([\d.]+)"
+    has = rf"a refit needs 3 usable stretches of 7 s, 2 s apart, and has {number}: "
+    found = re.search(rf"{has}of the last {number} s, {number} s are usable", name)
+    lost = {cause: float(s) for cause, s in re.findall(rf"; ([^;]+): {number} s", name)}
+    assert found is not None
+    stretches, seen, usable = map(float, found.groups())
+    assert stretches < 3 and usable + sum(lost.values()) == seen
+    assert lost[why] > 0.5 * seen if why else usable > 0.9 * seen
 
 
 def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigzag: Log) -> None:

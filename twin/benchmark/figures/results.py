@@ -17,12 +17,12 @@ from twin.benchmark.figures.style import (
     predictor_entries,
     set_title,
 )
-from twin.benchmark.verdict.tables import number_of
+from twin.benchmark.verdict.tables import number, number_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["growth_figure", "verdict_figure"]
+__all__ = ["growth_figure", "has_intervals", "verdict_figure"]
 
 ERRORS = {"position_m": "position after 10 s (m)", "heading_deg": "heading after 10 s (deg)"}
 """Title of each panel of the bars."""
@@ -46,14 +46,14 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     """Draw the mean absolute errors with 95 % intervals over boats, the best predictor on top.
 
     ``rows`` are those of ``results["verdict"]``. The panels show persistence in full, and cut what
-    is longer, which ends in an arrow; the number stands at the end.
+    is longer, which ends in an arrow. Beside each bar stands its number, and the end of its
+    interval if that is cut.
     """
     names = list(dict.fromkeys(row["predictor"] for row in rows))
     of = {(row["predictor"], row["loss"]): row for row in rows}
     losses = [loss for loss in LOSSES if any(row["loss"] == loss for row in rows)]
     entries = [(patch(BLACK, LOSSES[loss][1]), LOSSES[loss][0]) for loss in losses]
-    drawn = any(number_of(row, f"{panel}_low") >= 0.0 for row in rows for panel in ERRORS)
-    about = "mean over scenarios and boats" + (", 95 % intervals" if drawn else "")
+    about = "mean over scenarios and boats" + (", 95 % intervals" if has_intervals(rows) else "")
     mosaic = [[panel] for panel in ERRORS]
     size = (WIDTH, 2.0 * (0.3 * len(names) + 0.7))
     fig, axes = new_figure("Errors after 10 s", about, entries, mosaic, size)
@@ -74,10 +74,12 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
                 alpha=LOSSES[loss][1],
                 error_kw={"ecolor": BLACK, "lw": 1.0},
             )
-            for bar, v, end in zip(bars, value, np.fmin(np.fmax(value, high), limit), strict=True):
-                at = end, bar.get_y() + 0.5 * bar.get_height()
-                text = "" if np.isnan(v) else f"{v:#.3g}".rstrip(".")
-                if v > limit:
+            for bar, v, end in zip(bars, value, high, strict=True):
+                far = np.fmax(v, end)
+                at = np.fmin(far, limit), bar.get_y() + 0.5 * bar.get_height()
+                text = "" if np.isnan(v) else number(v)
+                if far > limit:
+                    text += f" (to {number(end)})" if end > limit else ""
                     ax.plot(*at, ">", color=BLACK, markersize=7, clip_on=False)
                 ax.annotate(text, at, (6, 0), textcoords="offset points", va="center", fontsize=9)
         ax.set_ylim(len(names), -0.2)
@@ -85,6 +87,11 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
         ax.set_yticks(np.arange(len(names)) + 0.4, names, parse_math=False)
         ax.grid(False, axis="y")
     return fig
+
+
+def has_intervals(rows: Sequence[Row]) -> bool:
+    """Return whether an error of the verdict has an interval."""
+    return any(number_of(row, f"{panel}_low") >= 0.0 for row in rows for panel in ERRORS)
 
 
 def _limit(rows: Sequence[Row], panel: str) -> float:

@@ -23,20 +23,23 @@ __all__ = [
 ]
 
 SIDES = {
-    "left": r"left|port|ps|l|1|bb|lf|lh|backbord|babord|babor|links|gauche|sinistra",
-    "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite|destra",
+    "left": r"left|port|ps|l|1|bb|lf|lh|backbord|babord|babor|links|gauche|sinistr[ao]|sx|"
+    r"izq|izquierd[ao]|esquerd[ao]|bombordo|bakboord|venstre|vanster",
+    "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite|"
+    r"destr[ao]|dx|der|derech[ao]|direit[ao]|boreste|estibordo|stuurboord|styrbord|hoyre|hoger",
 }
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
 SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
     r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|giri|rotacao|"
-    r"revoluciones|varvtal"
+    r"revoluciones|varvtal|propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|"
+    r"accelerateur|acceleratore|gass"
 )
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|timon|timone|roer|roerhoek|ror|rorvinkel|leme|tiller|turn"
+    r"ruderwinkel|barre|safran|gouvernail|timon|timone|roer|roerhoek|ror|rorvinkel|leme|tiller|turn"
 )
 
 SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
