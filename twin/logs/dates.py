@@ -133,15 +133,16 @@ def in_utc(shown: Array, texts: Sequence[str], form: str, zone: str) -> Array:
     return np.asarray(shown - np.array(ahead))
 
 
-def second_hours(stamps: Array, zone: str) -> Array:
+def second_hours(stamps: Array, zone: str) -> tuple[Array, bool]:
     """Return what to add to times (N,), s, of a place's clock that was set back.
 
     In autumn an hour comes twice, and is taken for the first one in the times since 1970. It is the
     second one behind a step back, and where the clock goes on behind it as if no hour lay between.
+    Times that all lie within it do not tell which one it is: then the flag is True.
     """
     more, place = np.zeros(len(stamps)), _place(zone)
     if place is None:
-        return more
+        return more, False
     known = np.nan_to_num(stamps).clip(0.0, 2e11)  # dates end with the year 9999
     quarters, of = np.unique(known // _QUARTER_S, return_inverse=True)
     begin = datetime(1970, 1, 1, tzinfo=UTC)
@@ -157,7 +158,7 @@ def second_hours(stamps: Array, zone: str) -> Array:
         goes_on = end < len(stamps) and 0.0 < step[end - 1] - hour < 0.5 * hour
         if len(back) or goes_on:
             more[first + int(np.append(back + 1, 0)[0]) : end] = hour
-    return more
+    return more, bool((twice[np.isfinite(stamps)] > 0.0).all()) and not more.any()
 
 
 _CLOCK = re.compile(

@@ -175,11 +175,12 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     parts.clear()
     if layout.step > 0.0:
         raw = thinned(_only(timed, raw), raw, layout)
+    either = False
     if epoch == epoch:  # the first row may come before the clock was set
         clocked = raw[timed.sources[0]]
         known = np.flatnonzero(np.isfinite(clocked) & ~wild_stamps(clocked))
         begin = float(clocked[known[0]]) if len(known) else 0.0
-        later = second_hours(epoch + clocked, clock.zone)
+        later, either = second_hours(epoch + clocked, clock.zone)
         begin += float(later[known[0]]) if len(known) else 0.0
         epoch, raw[timed.sources[0]] = epoch + begin, clocked + later - begin
     clocked = _only(timed, raw)
@@ -206,6 +207,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         epoch = _epoch_of_offset(timed, raw)
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
+    if either and "%Z" not in clock.format:
+        notes.append(
+            f"t_s: clocks in {clock.zone} show this hour twice, as they are set back: taken for the "
+            "first one; for the second, give the zone as hours from UTC"
+        )
     if midnight.days:
         notes.append("t_s: passes midnight without a date, and goes on")
     data = {}

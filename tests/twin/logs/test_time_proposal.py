@@ -440,13 +440,16 @@ def test_each_name_of_a_zone_in_the_cells_is_its_own_time(
 def test_the_hour_that_comes_twice_is_the_second_where_its_end_or_name_says_so(
     tmp_path: Path,
 ) -> None:
-    place = "America/New_York"
-    for late, form in ((3600, "%Y-%m-%d %H:%M:%S.%f"), (600, "%Y-%m-%d %H:%M:%S.%f %Z")):
+    """And where neither does, a note says that it was taken for the first."""
+    place, plain = "America/New_York", "%Y-%m-%d %H:%M:%S.%f"
+    cases = ((3600, plain, False), (600, f"{plain} %Z", False), (-1200, plain, True))
+    for late, form, open_end in cases:
         begin = CHANGES[place][0] + timedelta(seconds=late)
         path = across(tmp_path / "run.csv", begin, lambda t, f=form: f"{t:{f}}", place)
         log = mapped(path, "--zone", place, "--force")
         assert log.datum is not None
         assert log.datum.epoch == pytest.approx(begin.timestamp() - 60.0, abs=1e-3)
+        assert any("this hour twice" in note for note in log.notes) == open_end
 
 
 def test_the_zone_of_the_cells_wins_over_another_one(tmp_path: Path) -> None:

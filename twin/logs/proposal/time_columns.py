@@ -224,7 +224,7 @@ def _dated(
             if re.search(r"local|lokal|ortszeit", title, re.IGNORECASE):
                 found.questions.append(f"{title}: local time counts as UTC; state it with --zone")
     found.seconds = in_utc(found.seconds, cells, form, zone)
-    found.seconds = found.seconds + second_hours(found.seconds, zone)
+    found.seconds = found.seconds + second_hours(found.seconds, zone)[0]
     step = np.diff(_known(found.seconds))
     typical = float(np.median(np.abs(step))) if len(step) else 0.0
     for row in np.flatnonzero(np.abs(step - typical) > 0.5 * HOUR_S)[:1].tolist():
