@@ -209,8 +209,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         notes.append(f"t_s: counted from {date_of(epoch)}")
     if either and "%Z" not in clock.format:
         notes.append(
-            f"t_s: clocks in {clock.zone} show this hour twice, as they are set back: taken for the "
-            "first one; for the second, give the zone as hours from UTC"
+            f"t_s: clocks in {clock.zone} show this hour twice, as they are set back: taken for "
+            "the first one; for the second, give the zone as hours from UTC"
         )
     if midnight.days:
         notes.append("t_s: passes midnight without a date, and goes on")
