@@ -40,6 +40,12 @@ def test_texts_that_make_no_sense_are_refused(text: str) -> None:
         parse_values(text, "hs")
 
 
+def test_single_numbers_give_the_sea_that_they_gave_before() -> None:
+    made = changing_sea(TWO, "0.7", "6", "90")
+    assert made == TWO.replace(hs=0.7, wind=6.0, wind_from=math.radians(90.0))
+    assert changing_sea(TWO) is TWO
+
+
 def test_what_is_not_given_stays() -> None:
     made = changing_sea(TWO, hs="0.3@0,0.9@60")
     assert made.schedule == (
