@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
 
-from tests.twin.agents.test_training import SMALL, same
+from tests.twin.agents.test_training import SMALL
 from tests.twin.cli.command import run as command
 from twin.agents import training
 from twin.agents.controllers import LOS, make_controller
@@ -145,11 +145,6 @@ def test_rewards_are_scaled_and_bounded_below():
 
 
 # ------------------------------------------------- what a training is given
-
-
-def test_threads_change_nothing(tmp_path):
-    one, two = (run(tmp_path / str(n), num_threads=n) for n in (1, 2))
-    assert same(one.policy, two.policy)
 
 
 def test_entries_spread_and_weights_reach_the_boats(tmp_path):

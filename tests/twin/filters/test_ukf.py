@@ -116,8 +116,6 @@ def correct(x, P, z, R, angle=-1, gate=math.inf) -> float:
     ("structure", "scaling", "losses", "changing"),
     [
         pytest.param(PAPER, (1.0, 2.0, 0.0), False, False, id="plain"),
-        pytest.param(PAPER, (1.0, 2.0, 0.0), True, False, id="missing measurements"),
-        pytest.param(PAPER, (1.0, 2.0, 0.0), False, True, id="Q and R change"),
         pytest.param(PAPER, (0.9, 1.5, 10.0), True, True, id="all, and another scaling"),
         *(
             # the heading moves the regressors by way of biases and wind
@@ -140,7 +138,7 @@ def test_equals_the_full_filter(
     structure: Structure, scaling: tuple[float, float, float], losses: bool, changing: bool
 ) -> None:
     p = len(structure)
-    steps, wind = (1000, CALM) if structure is PAPER else (400, WINDY)
+    steps, wind = (500, CALM) if structure is PAPER else (200, WINDY)
     rng = np.random.default_rng(7)
     acts, zs = run_of_boat(steps, 3, structure, wind)
     assert np.min(zs[:, 2]) < 2.0 * math.pi < np.max(zs[:, 2])

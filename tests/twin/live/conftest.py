@@ -9,8 +9,8 @@ from twin.particulars import Particulars
 
 @pytest.fixture(scope="session")
 def circle() -> Log:
-    """Return the first two minutes of the recorded run."""
-    return Log.read(RUN).slice(0.0, 120.0)
+    """Return the first 90 s of the recorded run, over the midnight at which replays begin."""
+    return Log.read(RUN).slice(0.0, 90.0)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from twin import Twin
 from twin.model.priors import scaled_prior
 from twin.model.structure import (
-    LEFT_COS,
     MODELS,
     N_STATES,
     N_TERMS,
@@ -302,12 +301,6 @@ def test_terms_mirror_port_and_starboard(case) -> None:
             two = np.array(accelerations(image, structure.terms, np.eye(p)[swap[k]], 0))
             sign = -1.0 if name in lopsided else 1.0
             np.testing.assert_allclose(two, sign * one * [1, -1, -1], atol=1e-14, err_msg=name)
-
-
-def test_thrust_terms_leave_those_of_the_state() -> None:
-    terms = np.full(N_TERMS, 7.0)
-    thrust_terms(1.0, 2.0, 0.9, 0.1, 0.8, 0.2, terms)
-    assert (terms[:LEFT_COS] == 7.0).all() and (terms[LEFT_COS:] != 7.0).all()
 
 
 @pytest.mark.parametrize("name", MODELS)

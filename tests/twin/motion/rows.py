@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from twin import Log
 from twin.integrity.sensing import sense_row
 from twin.integrity.state import initial_integrity, integrity_settings
 from twin.motion.deck_motion import DeckMotion
@@ -12,13 +15,35 @@ from usv_gym import Vessel
 
 BOAT = particulars_of(Vessel.load("usv75"))
 SETTINGS = integrity_settings(BOAT)
+NOTHING_SEEN = initial_integrity(BOAT)
 
 
 def take(
     motion: DeckMotion, t: float, dt: float, z: np.ndarray, state: np.ndarray, ready: bool
 ) -> np.ndarray:
     """Let the motion take a row, and return it as an upright boat would have it."""
-    z, health, restart = np.array(z, float), initial_integrity(BOAT), np.zeros(100)
+    z, health, restart = np.array(z, float), NOTHING_SEEN.copy(), np.zeros(100)
     given = np.zeros(4), np.ascontiguousarray(state), ready, health, SETTINGS, motion.arrays(z)
     sense_row(t, dt, z, *given, np.empty(len(z)), np.empty(4), restart)
     return z
+
+
+def sail(
+    motion: DeckMotion, log: Log, z: np.ndarray | None = None, velocity_error_mps: float = 0.0
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Let the motion take each row of a log; yield its number, and what :func:`take` returned.
+
+    The horizontal motion is the true one, but for an error that sways. ``z`` are other
+    measurements than the log's.
+    """
+    z, states, dt = log.z if z is None else z, log.truth.copy(), log.dt
+    states[:, 3:5] += velocity_error_mps * np.sin(np.outer(log.t, [0.7, 0.9]))
+    for k, t in enumerate(log.t):
+        yield k, take(motion, t, dt if k else 0.0, z[k], states[k], True)
+
+
+def after(motion: DeckMotion, log: Log, z: np.ndarray | None = None) -> DeckMotion:
+    """Return the motion after all rows of a log."""
+    for _ in sail(motion, log, z):
+        pass
+    return motion

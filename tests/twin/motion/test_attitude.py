@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.motion.rows import take
+from tests.twin.motion.rows import after, sail, take
 from twin import Log, Particulars
 from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, MEASUREMENTS
 from twin.motion import DeckMotion
@@ -30,26 +31,19 @@ RUNS = (("heading45", "2"), ("heading135", "3"), ("heading90", "2"), ("zigzag", 
 """Courses and seas; each run has biases of the sensors of its own."""
 
 
-def logs(suite: SensorSuite | None = None) -> list[Log]:
-    """Return the first runs with other sensors, or all with typical ones."""
-    runs = RUNS if suite is None else RUNS[:2]
-    return [
-        simulate(
-            scenario,
-            vessel=VESSEL,
-            sea=SeaState.named(sea),
-            duration=90,
-            seed=seed,
-            suite=suite,
-            dof=6,
-        )
-        for seed, (scenario, sea) in enumerate(runs)
-    ]
-
-
-@pytest.fixture(scope="module")
-def typical() -> list[Log]:
-    return logs()
+@functools.cache
+def sailed(run: int, suite: SensorSuite | None = None) -> Log:
+    """Return a run, by default with typical sensors."""
+    scenario, sea = RUNS[run]
+    return simulate(
+        scenario,
+        vessel=VESSEL,
+        sea=SeaState.named(sea),
+        duration=90,
+        seed=run,
+        suite=suite,
+        dof=6,
+    )
 
 
 def estimates(
@@ -59,15 +53,19 @@ def estimates(
     z = log.z.copy()
     z[:, list(without)] = np.nan
     motion, found, sd = DeckMotion(boat), [], []
-    for k, t in enumerate(log.t):
-        # the twin's velocity: good to a few cm/s
-        state = log.truth[k].copy()
-        state[3:5] += 0.03 * np.sin([0.7 * t, 0.9 * t])
-        take(motion, t, log.dt if k else 0.0, z[k], state, True)
+    # the twin's velocity: good to a few cm/s
+    for _ in sail(motion, log, z, velocity_error_mps=0.03):
         now = motion.estimate()
         found.append((now.roll, now.pitch, now.heave, now.vertical_speed))
         sd.append(now.sd)
     return np.array(found)[SETTLED:], np.array(sd)[SETTLED:]
+
+
+@functools.cache
+def errors_and_claims(run: int, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors of a run with typical sensors (N, 4), and the claimed deviations."""
+    found, sd = estimates(sailed(run), without=without)
+    return found - truth(sailed(run)), sd
 
 
 def truth(log: Log) -> np.ndarray:
@@ -85,18 +83,15 @@ def rms(errors: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("without", "limit"), [((), 0.15), ((AHRS_ROLL, AHRS_PITCH), 0.4)], ids=["ahrs", "no ahrs"]
 )
-def test_roll_and_pitch_are_within_the_target(
-    typical: list[Log], without: tuple[int, ...], limit: float
-) -> None:
-    errors = [rms(estimates(log, without=without)[0][:, :2] - truth(log)[:, :2]) for log in typical]
+def test_roll_and_pitch_are_within_the_target(without: tuple[int, ...], limit: float) -> None:
+    errors = [rms(errors_and_claims(run, without)[0][:, :2]) for run in range(len(RUNS))]
     assert np.degrees(np.median(errors)) < limit
 
 
-def test_claimed_deviations_are_those_of_the_errors(typical: list[Log]) -> None:
+def test_claimed_deviations_are_those_of_the_errors() -> None:
     ratios = []
-    for log in typical:
-        found, sd = estimates(log)
-        errors = found - truth(log)
+    for run in range(len(RUNS)):
+        errors, sd = errors_and_claims(run)
         ratios.append(rms(errors[:, :3]) / rms(sd[:, :3]))
     assert (np.median(ratios, axis=0) > 0.4).all()
     assert (np.median(ratios, axis=0) < 1.5).all()
@@ -152,13 +147,10 @@ def test_noise_of_gravity_is_what_the_innovations_show() -> None:
     assert (sds[1] > 1.2 * sds[0]).all()
 
 
-def test_gnss_halves_the_error_of_the_heave(typical: list[Log]) -> None:
+def test_gnss_halves_the_error_of_the_heave() -> None:
     heave = [
-        [
-            rms(estimates(log, without=without)[0] - truth(log))[2]
-            for without in ((), (GPS_Z, GPS_VZ))
-        ]
-        for log in typical
+        [rms(errors_and_claims(run, without)[0])[2] for without in ((), (GPS_Z, GPS_VZ))]
+        for run in range(len(RUNS))
     ]
     with_fix, alone = np.median(heave, axis=0)
     assert with_fix < 0.5 * alone
@@ -195,27 +187,25 @@ def test_a_rolling_boat_is_followed_by_its_gyro_alone() -> None:
     assert np.std(errors[SETTLED:]) < 0.02 * 0.1
 
 
-def test_an_imu_mounted_askew_gives_the_same_attitude(typical: list[Log]) -> None:
-    angles = (0.1, -0.15, 1.2)
-    log = typical[0]
+def test_an_imu_mounted_askew_gives_the_same_attitude() -> None:
+    angles, log = (0.1, -0.15, 1.2), sailed(0)
     z = log.z.copy()
     turn = rotation(angles).T
     for columns in ([GYRO_X, GYRO_X + 1, GYRO], [ACCEL_X, ACCEL_Y, ACCEL_Z]):
         z[:, columns] = z[:, columns] @ turn.T
     instruments = dataclasses.replace(BOAT.instruments, imu_mounting=angles)
     askew = dataclasses.replace(BOAT, instruments=instruments)
-    upright = estimates(log)[0]
+    upright = errors_and_claims(0)[0] + truth(log)
     np.testing.assert_allclose(
         estimates(dataclasses.replace(log, z=z), askew)[0], upright, atol=2e-3
     )
 
 
-def test_an_upright_row_has_the_acceleration_without_gravity(typical: list[Log]) -> None:
+def test_an_upright_row_has_the_acceleration_without_gravity() -> None:
     """What the horizontal filters get: the tilt no longer leaks into the accelerometers."""
-    log, motion = typical[1], DeckMotion(BOAT)
+    log, motion = sailed(1), DeckMotion(BOAT)
     raw, level = [], []
-    for k, t in enumerate(log.t):
-        row = take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+    for k, row in sail(motion, log):
         u, v, r = log.truth[k, 3:]
         before = log.truth[max(k - 1, 0), 3:]
         true = np.array([(u - before[0]) / 0.05 - v * r, (v - before[1]) / 0.05 + u * r])
@@ -228,20 +218,19 @@ def test_an_arm_of_the_imu_does_not_change_the_estimate() -> None:
     """On a mast 3 m above and 2 m ahead, the IMU feels the rotation; it is taken out."""
     arm = (2.0, 0.5, -3.0)
     suite = dataclasses.replace(SensorSuite.perfect(), imu_arm=arm, ahrs_rate=0.0)
-    log = logs(suite)[1]
+    log = sailed(1, suite)
     boat = particulars_of(VESSEL, suite, 6)
     errors = rms(estimates(log, boat)[0] - truth(log))
     assert np.degrees(errors[:2]).max() < 0.4
     assert errors[3] < 0.05
 
 
-def test_a_dead_axis_is_reported_and_bridged(typical: list[Log]) -> None:
-    log, motion = typical[1], DeckMotion(BOAT)
+def test_a_dead_axis_is_reported_and_bridged() -> None:
+    log, motion = sailed(1), DeckMotion(BOAT)
     z = log.z.copy()
     z[900:, GYRO_X] = z[900, GYRO_X]
     errors = []
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, z[k], log.truth[k], True)
+    for k, _ in sail(motion, log, z):
         errors.append(motion.estimate().roll - log.true_motion[k, 1])
     assert list(motion.troubles()) == ["gyro_x_radps"]
     status, age, why = motion.troubles()["gyro_x_radps"]
@@ -253,27 +242,22 @@ def test_a_dead_axis_is_reported_and_bridged(typical: list[Log]) -> None:
 
 @pytest.mark.parametrize("column", [ACCEL_X, ACCEL_Y, GYRO], ids=["ahead", "side", "yaw"])
 @pytest.mark.parametrize("silent", [False, True])
-def test_a_dead_horizontal_axis_lifts_no_boat(
-    typical: list[Log], column: int, silent: bool
-) -> None:
+def test_a_dead_horizontal_axis_lifts_no_boat(column: int, silent: bool) -> None:
     """Before, the last force of all axes went on, and the heave was 8 m off within a minute."""
-    log = typical[1]
+    log = sailed(1)
     z = log.z.copy()
     z[700:, column] = math.nan if silent else z[700, column]
     dead = dataclasses.replace(log, z=z)
     error = np.abs(estimates(dead)[0] - truth(log))[200:]
-    sound = np.abs(estimates(log)[0] - truth(log))[200:]
+    sound = errors_and_claims(1)[0][200:]
     assert (rms(error[:, 2:]) < 2.0 * rms(sound[:, 2:])).all()
     assert np.degrees(rms(error[:, :2])).max() < 0.5
-    motion = DeckMotion(BOAT)
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, z[k], log.truth[k], True)
     names = {ACCEL_X: {"accel_x_mps2"}, ACCEL_Y: {"accel_y_mps2"}, GYRO: set()}[column]
-    assert set(motion.troubles()) == names
+    assert set(after(DeckMotion(BOAT), log, z).troubles()) == names
 
 
-def test_axes_that_take_turns_are_all_used(typical: list[Log]) -> None:
-    log = typical[1]
+def test_axes_that_take_turns_are_all_used() -> None:
+    log = sailed(1)
     z = log.z.copy()
     z[::2, [ACCEL_X, ACCEL_Y, ACCEL_Z]] = math.nan
     z[1::2, [GYRO, GYRO_X, GYRO_X + 1, AHRS_ROLL, AHRS_PITCH]] = math.nan
@@ -281,8 +265,8 @@ def test_axes_that_take_turns_are_all_used(typical: list[Log]) -> None:
     assert rms(estimates(turns)[0] - truth(log))[2] < 0.15
 
 
-def test_a_dead_gyro_of_an_imu_on_its_side_counts_for_the_other_rate(typical: list[Log]) -> None:
-    log = typical[1]
+def test_a_dead_gyro_of_an_imu_on_its_side_counts_for_the_other_rate() -> None:
+    log = sailed(1)
     z = log.z.copy()
     for columns in ([GYRO_X, GYRO_X + 1, GYRO], [ACCEL_X, ACCEL_Y, ACCEL_Z]):
         z[:, columns] = z[:, columns] @ rotation((0.0, 0.0, 0.5 * math.pi))
@@ -295,13 +279,13 @@ def test_a_dead_gyro_of_an_imu_on_its_side_counts_for_the_other_rate(typical: li
     assert (errors < 2.0 * sd[200:, :2].mean(axis=0)).all()
 
 
-def test_spikes_are_refused(typical: list[Log]) -> None:
-    log, rng = typical[1], np.random.default_rng(0)
+def test_spikes_are_refused() -> None:
+    log, rng = sailed(1), np.random.default_rng(0)
     z = log.z.copy()
     for column, size in ((AHRS_ROLL, 0.5), (GPS_VZ, 5.0), (GPS_Z, 50.0)):
         z[rng.random(len(z)) < 0.05, column] += size
     struck = estimates(dataclasses.replace(log, z=z))[0]
-    assert (rms(struck - truth(log)) < 1.5 * rms(estimates(log)[0] - truth(log)) + 1e-3).all()
+    assert (rms(struck - truth(log)) < 1.5 * rms(errors_and_claims(1)[0]) + 1e-3).all()
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)

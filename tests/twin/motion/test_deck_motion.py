@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.motion.rows import take
+from tests.twin.motion.rows import after, sail, take
 from twin import Log, Twin
 from twin.benchmark.motion_scores import MotionScore, MotionTruth, motion_table
 from twin.channels import (
@@ -46,10 +46,10 @@ def sailed(
 def forecasts(log: Log, motion: DeckMotion, every: int = 20) -> list[MotionForecast]:
     """Return forecasts after two minutes, by a twin that knows the true horizontal motion."""
     times, found = np.arange(0.25, 10.01, 0.25), []
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
-        if t > 120.0 and k % every == 0 and t < log.t[-1] - 10.0:
-            rows = k + np.rint(times / log.dt).astype(int)
+    ahead = np.rint(times / log.dt).astype(int)
+    for k, _ in sail(motion, log):
+        if 120.0 < log.t[k] < log.t[-1] - 10.0 and k % every == 0:
+            rows = k + ahead
             forecast = motion.forecast(times, log.truth[rows], log.truth[k])
             assert forecast is not None
             found.append(forecast)
@@ -142,10 +142,7 @@ def test_a_pure_swell_is_forecast_three_seconds_ahead() -> None:
 
 def test_the_boat_heels_in_the_turn_that_the_plan_commands() -> None:
     """After turns to both sides the heel of the next one is part of the forecast."""
-    log = sailed("zigzag")
-    motion = DeckMotion(BOAT)
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+    motion = after(DeckMotion(BOAT), sailed("zigzag"))
     times = np.arange(0.25, 10.01, 0.25)
     tilts = []
     for rate in (0.3, -0.3):
@@ -190,9 +187,8 @@ def test_probabilities_of_a_quiet_deck_are_worth_more_than_its_share() -> None:
 def test_the_sea_is_known_from_the_motion(scenario: str, to: float) -> None:
     log, motion = sailed(scenario, "3", 5), DeckMotion(BOAT)
     assert motion.sea() is None
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
-        if t < 20.0:
+    for k, _ in sail(motion, log):
+        if log.t[k] < 20.0:
             sea = motion.sea()
             assert sea is not None
             assert math.isnan(sea.hs)
@@ -211,10 +207,7 @@ def test_following_seas_are_not_taken_for_the_opposite_ones(scenario: str, seed:
     """A boat that sails with the waves meets them slowly, or overtakes them."""
     sea = SeaState.named("2").replace(components=300, spreading=4.0)
     log = simulate(scenario, vessel=VESSEL, sea=sea, duration=120.0, seed=seed, dof=6)
-    motion = DeckMotion(BOAT)
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
-    found = motion.sea()
+    found = after(DeckMotion(BOAT), log).sea()
     assert found is not None
     error = abs(math.remainder(found.to - sea.waves_to, 2.0 * math.pi))
     assert error < math.radians(40.0)
@@ -306,9 +299,8 @@ def test_a_saved_twin_goes_on_to_the_bit(tmp_path) -> None:
 
 
 def test_after_a_gap_it_forecasts_the_mean_until_the_past_is_known() -> None:
-    log, motion = sailed("heading135"), DeckMotion(BOAT)
-    for k, t in enumerate(log.t[:3000]):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k], True)
+    log = sailed("heading135")
+    motion = after(DeckMotion(BOAT), log.slice(t1=log.t[3000]))
     later = log.t[3000] + 500.0
     take(motion, later, 500.0, log.z[3000], log.truth[3000], True)
     forecast = motion.forecast(np.array([10.0]), log.truth[:1], log.truth[0])

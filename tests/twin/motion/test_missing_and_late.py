@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.twin.motion.rows import take
+from tests.twin.motion.rows import sail
 from twin import Log, Particulars, Twin
 from twin.channels import (
     ACCEL_Z,
@@ -56,13 +56,9 @@ def boat(latency: float = 0.0) -> Particulars:
 def errors(log: Log, of: Particulars, z: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return root mean squares of the errors of roll and pitch (2), and of what was said, deg."""
     motion, found = DeckMotion(of), []
-    for k, t in enumerate(log.t):
-        # the twin's velocity: good to a few cm/s
-        state = log.truth[k].copy()
-        state[3:5] += 0.03 * np.sin([0.7 * t, 0.9 * t])
-        take(motion, t, log.dt if k else 0.0, (log.z if z is None else z)[k], state, True)
+    # the twin's velocity: good to a few cm/s
+    for k, _ in sail(motion, log, z, velocity_error_mps=0.03):
         now = motion.estimate()
-        assert now is not None
         off = now.roll - log.true_motion[k, 1], now.pitch - log.true_motion[k, 2]
         found.append((*off, *now.sd[:2]))
     both = np.degrees(np.sqrt(np.mean(np.array(found)[BEGIN:] ** 2, axis=0)))
@@ -144,10 +140,8 @@ def test_a_gyro_or_ahrs_at_fault_is_named_and_costs_a_second(channel: int, fault
     for run in (1, 3):
         log, z = sailed(run), with_fault(run, channel, FAULTS[fault])
         motion, found, named = DeckMotion(boat()), [], {}
-        for k, t in enumerate(log.t):
-            take(motion, t, log.dt if k else 0.0, z[k], log.truth[k].copy(), True)
+        for _ in sail(motion, log, z):
             now = motion.estimate()
-            assert now is not None
             found.append((now.roll, now.pitch))
             named |= motion.lasting_troubles()
         off = np.degrees(np.array(found) - log.true_motion[:, 1:3])[BEGIN + 100 :]
@@ -161,8 +155,7 @@ def test_a_gyro_or_ahrs_at_fault_is_named_and_costs_a_second(channel: int, fault
 @pytest.mark.parametrize("run", range(4))
 def test_sound_gyros_and_ahrs_are_not_doubted(run: int) -> None:
     log, motion = sailed(run), DeckMotion(boat())
-    for k, t in enumerate(log.t):
-        take(motion, t, log.dt if k else 0.0, log.z[k], log.truth[k].copy(), True)
+    for _ in sail(motion, log):
         assert not motion.troubles()
 
 

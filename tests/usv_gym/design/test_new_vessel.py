@@ -43,7 +43,7 @@ def sails(boat: Vessel) -> None:
 
 @given(**hulls)
 @example(length=1.0, slender=8.0, flat=2.0, block=0.5, froude=0.35, kind="propeller_rudder")
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=16, deadline=None, derandomize=True)
 def test_a_new_vessel_loads_passes_checks_and_sails(
     tmp_path_factory: pytest.TempPathFactory,
     length: float,
@@ -193,7 +193,7 @@ def test_catamaran_has_the_published_particulars_of_the_blueboat(tmp_path) -> No
     froude=st.floats(0.15, 0.9),
     kind=st.sampled_from(("thruster_pair", "steerable_drive")),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_any_catamaran_passes_its_checks_and_sails(
     length: float,
     slender: float,

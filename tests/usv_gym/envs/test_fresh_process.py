@@ -25,39 +25,25 @@ def fresh(code: str) -> str:
     return done.stdout
 
 
-def test_make_by_module_and_id_in_a_fresh_process() -> None:
+def test_the_simulator_imports_the_twin_when_an_environment_has_one() -> None:
     out = fresh(
-        "import gymnasium as gym\n"
-        "env = gym.make('usv_gym:USVTwin-v0', twin='persistence')\n"
-        "print(env.reset(seed=0)[0].shape)"
-    )
-    assert out.strip() == f"({len(OBSERVATION) + len(TWIN_OBSERVATION)},)"
-
-
-def test_the_simulator_does_not_import_the_twin() -> None:
-    out = fresh(
-        "import sys, usv_gym, gymnasium as gym\n"
+        "import sys, gymnasium as gym\n"
         "import usv_gym.envs.env\n"
         "known = 'USVTwin-v0' in gym.registry\n"
         "print(known, any(m.split('.')[0] == 'twin' for m in sys.modules))\n"
-        "gym.make('USVTwin-v0', twin=None)\n"
-        "print(any(m.split('.')[0] == 'twin' for m in sys.modules))"
+        "env = gym.make('usv_gym:USVTwin-v0', twin='persistence')\n"
+        "print(*env.reset(seed=0)[0].shape)"
     )
-    assert out.split() == ["True", "False", "True"]
+    assert out.split() == ["True", "False", str(len(OBSERVATION) + len(TWIN_OBSERVATION))]
 
 
-def test_the_twin_on_board_does_not_import_the_simulator() -> None:
+def test_the_simulator_and_optional_packages_are_imported_late() -> None:
+    """The twin on board needs no simulator, and the optional packages where they are used."""
     out = fresh(
-        "import sys, twin, twin.predictors.ukf\n"
-        "print(sorted({'usv_gym', 'gymnasium'} & set(sys.modules)))"
-    )
-    assert out.strip() == "[]"
-
-
-def test_optional_packages_are_imported_late() -> None:
-    out = fresh(
-        "import sys, usv_gym, twin, twin.predictors.learned.lstm\n"
+        "import sys, twin, twin.predictors.ukf, twin.predictors.learned.lstm\n"
+        "print(sorted({'usv_gym', 'gymnasium'} & set(sys.modules)))\n"
+        "import usv_gym\n"
         "late = {'torch', 'matplotlib', 'filterpy', 'stable_baselines3'}\n"
         "print(sorted(late & set(sys.modules)))"
     )
-    assert out.strip() == "[]"
+    assert out.split() == ["[]", "[]"]

@@ -183,16 +183,6 @@ def test_the_band_of_the_twin_grows_with_the_horizon() -> None:
     assert scene(made()).overlay is None and count(picture(made()), BAND) == 0
 
 
-@pytest.mark.parametrize("twin", ["ukf", "persistence"])
-def test_all_observers_tell_the_same_as_their_twins(twin: str) -> None:
-    env = made(twin=twin)
-    sail(env, 2.0)
-    overlay = scene(env).overlay
-    assert overlay
-    assert np.allclose(overlay.state, env.twin.predictor.state)  # type: ignore[attr-defined]
-    assert np.isfinite(overlay.covs).all() and overlay.ahead.shape == (4, 6)
-
-
 def test_the_wrapper_brings_its_twin_into_the_picture() -> None:
     env = TwinObservation(gym.make("USVTwin-v0", twin=None, render_mode="rgb_array"), "ukf")
     native = made(twin="ukf")

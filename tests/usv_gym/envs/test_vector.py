@@ -18,7 +18,12 @@ from usv_kernel.errors import UsvTwinError
 N = 3
 FAULTS = "gps3@2+imu-spikes-random"
 SHORT = {"faults": FAULTS, "max_episode_steps": 90}
+EVERYTHING = (
+    "gps-ramp=0.3:2@1+fixes-late=0.5:2@4+all-stall1@7+commands-garbage1@3+velocity-swapped1@2"
+    "+imu-garbage-random+commands-stall-random+gyro-bias-bursts+left-zero2@5+right-scale-random"
+)
 TWINS = (None, "persistence", "ukf", "dsw-ukf-plus")
+MODES = ("NextStep", "SameStep")
 DRAWN = {"sea": "calm|3", "vessel_spread": 0.3, "wind_from_deg": "any", "current": "any"}
 DRAWN |= {"heading_deg": "any", "load": (0.8, 1.2), "faults": "none|gps3@2|imu-random+gps-bursts"}
 
@@ -64,11 +69,15 @@ CASES = [
     *(decisions("twin", twin=twin) for twin in ("dsw-ukf-plus", "var")),
     decisions("twin", vessel="usv75|otter"),
     decisions("twin_health", vessel="usv75|otter", twin="persistence"),
+    {"twin": "ukf", "sea": "2", "dof": 6, "faults": EVERYTHING, "max_episode_steps": 200},
 ]
+"""How resets come about has nothing to do with these: they take turns, but for the plain twin."""
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("options", CASES)
+@pytest.mark.parametrize(
+    ("options", "mode"),
+    [*((one, MODES[k % 2]) for k, one in enumerate(CASES)), *(({"twin": "ukf"}, m) for m in MODES)],
+)
 def test_it_is_gymnasiums_own_over_single_environments(options, mode):
     """Observations, rewards, ends and infos, over whole episodes with faults and resets."""
     native = natives(autoreset_mode=mode, **options)

@@ -12,8 +12,7 @@ from usv_gym import SeaState, Vessel
 from usv_gym.hydro.motions import response
 from usv_gym.hydro.table import between
 from usv_gym.physics import GRAVITY, waves
-from usv_gym.physics import ship as ship_kernels
-from usv_gym.world.realisation import Sea, load_rows
+from usv_gym.world.realisation import load_rows
 from usv_gym.world.simulation import Simulation
 
 NAMES = ("usv75", "otter")
@@ -90,21 +89,6 @@ def test_loads_between_headings_are_interpolated_closely(boat):
         both = [mode, mode + waves.SINE_LOADS]
         error, size = (factors - exact)[both][:, long], exact[both][:, long]
         assert np.linalg.norm(error) < 0.02 * np.linalg.norm(size)
-
-
-def test_drift_pushes_with_the_waves(boat):
-    sea = realise(SeaState(hs=0.3, wind=0.0, wave_to=0.0, components=60), 1, boat)
-    drift = sea.weather["drift_table"]
-    H = len(drift)
-    assert drift[0, 0] > 0.0 > drift[H // 2, 0]  # following, and against the waves
-    assert drift[3 * H // 4, 1] > 0.0 > drift[H // 4, 1]  # waves from port push to starboard
-
-
-def test_a_sea_without_a_table_has_no_loads(boat):
-    plain = boat.without_table()
-    rows = Sea.regular(plain, 2.0, 0.1).waves
-    assert load_rows(plain, rows).shape[0] == 0
-    assert ship_kernels.NO_LOADS.shape[0] == 0
 
 
 def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):

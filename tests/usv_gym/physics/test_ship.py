@@ -440,12 +440,25 @@ def test_thrust_is_as_printed_and_odd_from_bollard_pull_on() -> None:
 # ------------------------------------------------- resistance
 
 
-def test_resistance_goes_through_its_points() -> None:
-    for speed, force in zip(BOAT.resistance_speed, BOAT.resistance_force, strict=True):
-        assert hull.resistance(speed, P) == pytest.approx(force, rel=1e-12, abs=1e-12)
+def with_points(count: int) -> Vessel:
+    """Return the boat with a resistance curve of so many points."""
+    speed = tuple(float(v) for v in range(count))
+    force = tuple(50.0 * v**2 for v in speed)
+    return dataclasses.replace(BOAT, resistance_speed=speed, resistance_force=force)
+
+
+@pytest.mark.parametrize(
+    "boat", [BOAT, with_points(3), with_points(par.RESISTANCE_POINTS)], ids=["own", "few", "all"]
+)
+def test_resistance_goes_through_its_points_and_grows_with_the_square_beyond(boat: Vessel) -> None:
+    p = boat.packed.copy()
+    for speed, force in zip(boat.resistance_speed, boat.resistance_force, strict=True):
+        assert hull.resistance(speed, p) == pytest.approx(force, rel=1e-12, abs=1e-12)
         # odd, to the bit; and continuous: slopes are below 3 kN per m/s
-        assert hull.resistance(-speed, P) == -hull.resistance(speed, P)
-        assert jump(lambda u: hull.resistance(u, P), speed, 1e-8) < 1e-4
+        assert hull.resistance(-speed, p) == -hull.resistance(speed, p)
+        assert jump(lambda u: hull.resistance(u, p), speed, 1e-8) < 1e-4
+    top, force = boat.resistance_speed[-1], boat.resistance_force[-1]
+    assert hull.resistance(1.5 * top, p) == pytest.approx(2.25 * force, rel=1e-12)
 
 
 def test_resistance_does_not_overshoot() -> None:
@@ -459,25 +472,13 @@ def test_resistance_does_not_overshoot() -> None:
         assert np.all(steps >= -1e-9)  # monotone between two points
 
 
-def test_resistance_has_no_kink_inside_and_grows_with_the_square_beyond() -> None:
+def test_resistance_has_no_kink_inside() -> None:
     h = 1e-5
     for speed in BOAT.resistance_speed[1:-1]:
         left = (hull.resistance(speed, P) - hull.resistance(speed - h, P)) / h
         right = (hull.resistance(speed + h, P) - hull.resistance(speed, P)) / h
         # second derivatives are below 1e4 N per (m/s)^2
         assert left == pytest.approx(right, abs=0.2)
-    top, force = BOAT.resistance_speed[-1], BOAT.resistance_force[-1]
-    assert hull.resistance(1.5 * top, P) == pytest.approx(2.25 * force, rel=1e-12)
-
-
-@pytest.mark.parametrize("points", [3, par.RESISTANCE_POINTS])
-def test_resistance_curve_passes_few_and_all_points(points: int) -> None:
-    speed = tuple(float(v) for v in range(points))
-    force = tuple(50.0 * v**2 for v in speed)
-    boat = dataclasses.replace(BOAT, resistance_speed=speed, resistance_force=force)
-    for v, f in zip(speed, force, strict=True):
-        assert hull.resistance(v, boat.packed) == pytest.approx(f, abs=1e-9)
-    assert hull.resistance(2.0 * speed[-1], boat.packed) == pytest.approx(4.0 * force[-1])
 
 
 # ------------------------------------------------- actuators
@@ -544,12 +545,3 @@ def test_the_step_is_of_fourth_order_in_calm_water(dof: int) -> None:
     assert np.all(orders > 3.7)
     # the 2 s motions of heave, roll and pitch cost more than turning does
     assert errors[0] < (1e-6 if dof == 3 else 1e-4)
-
-
-def test_the_step_reports_its_mean_derivative() -> None:
-    """Row 0 of the scratch is what an IMU reads: the change over the step, over dt."""
-    sea, s = a_sea(1), start(6.0, v=0.3, r=0.1, n=20.0, delta=0.1)
-    before = s.copy()
-    work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-    ship.step(s, helm(22.0, 5.0), ship.Ship(P, 3), sea.arrays(), 1.0, 0.05, work)
-    np.testing.assert_allclose(work[0], (s - before) / 0.05, rtol=1e-9, atol=1e-11)

@@ -55,15 +55,6 @@ def test_a_course_is_held_outside_and_straight_inside() -> None:
         assert wind_at(t, weather) == pytest.approx((speed, come_from), rel=1e-12)
 
 
-@pytest.mark.parametrize("t", [100.0, 200.0, 400.0])
-def test_a_course_is_continuous_at_its_moments(t: float) -> None:
-    weather = on_course((100.0, 0.2, 4.0, 1.0), (200.0, 1.0, 8.0, 2.0), (400.0, 0.5, 6.0, 5.0))
-    eps = 1e-6
-    around = [(wx.wave_gain(s, weather), *wind_at(s, weather)) for s in (t - eps, t, t + eps)]
-    # slopes are below .1 a second
-    np.testing.assert_allclose(np.ptp(around, axis=0), 0.0, atol=2e-7)
-
-
 def test_a_full_course_ends_within_itself() -> None:
     rows = [(10.0 * i, 0.1 * i, float(i), 0.1 * i) for i in range(wx.KEYFRAMES)]
     weather = on_course(*rows)

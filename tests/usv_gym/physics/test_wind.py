@@ -105,13 +105,6 @@ def test_gust_is_the_plain_sum(t: float) -> None:
     )
 
 
-def test_air_comes_from_where_it_is_said_to() -> None:
-    air = weather.constant(wind=4.0, wind_from=math.radians(135.0))  # south-east
-    north, east = weather.air_velocity(0.0, np.zeros((3, 0)), air)
-    assert north == pytest.approx(4.0 * math.sqrt(0.5))  # blows to the north-west
-    assert east == pytest.approx(-4.0 * math.sqrt(0.5))
-
-
 def test_a_gust_cannot_turn_the_wind_round() -> None:
     lull = np.array([[0.1], [math.pi], [5.0]])  # minus 5 m/s at t = 0
     assert weather.air_velocity(0.0, lull, weather.constant(wind=1.0)) == (0.0, 0.0)

@@ -352,6 +352,11 @@ def test_bad_entries_are_refused_with_place_and_remedy(
     check_refused(tmp_path, changed(key, entry), (key, word))
 
 
+def curve(speed: str, force: str, unit: str = "kN") -> str:
+    text = re.sub(r"(?m)^speed = .*$", f"speed = {value(speed, 'kn')}", USV75)
+    return re.sub(r"(?m)^force = .*$", f"force = {value(force, unit)}", text)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -369,39 +374,23 @@ def test_bad_entries_are_refused_with_place_and_remedy(
         (USV75.replace("throttle = 3", "throttle = 3\nleft = 2"), ("[autopilot] left", "known:")),
         (USV75 + "pulse = [1500, 1100, 1900]\n", ("[autopilot]", "rise")),
         (USV75 + "pulse = [1500]\n", ("[autopilot] pulse", "three")),
+        (curve("[0, 5, 10]", "[0, 1, 2, 3]"), ("[hull.resistance]", "equally many")),
+        (curve("[0, 5]", "[0, 1]"), ("[hull.resistance]", "3 to 16")),
+        (curve(str(list(range(17))), str(list(range(17)))), ("[hull.resistance]", "3 to 16")),
+        (curve("[0, 5, 5]", "[0, 1, 2]"), ("[hull.resistance]", "rise")),
+        (curve("[1, 5, 10]", "[0, 1, 2]"), ("[hull.resistance]", "start at speed 0")),
+        (curve("[0, 5, 10]", "[0, -1, 2]"), ("[hull.resistance]", "negative")),
+        (curve("[0, 5, 10]", '[0, "x", 2]'), ("[hull.resistance]", "list of numbers")),
+        (curve("[0, 5, 10]", "5"), ("[hull.resistance]", "list of numbers")),
+        (curve("[0, nan, 10]", "[0, 1, 2]"), ("[hull.resistance]", "finite")),
+        (curve("[0, 5, 10]", "[0, 1, inf]"), ("[hull.resistance]", "finite")),
+        (curve("[0, 5, 10]", "[0, 1, 2]", "lbf"), ("[hull.resistance]", "use N, kN")),
     ],
 )
 def test_bad_tables_are_refused_with_place_and_remedy(
     tmp_path: Path, text: str, words: Sequence[str]
 ) -> None:
     check_refused(tmp_path, text, words)
-
-
-def curve(speed: str, force: str, unit: str = "kN") -> str:
-    text = re.sub(r"(?m)^speed = .*$", f"speed = {value(speed, 'kn')}", USV75)
-    return re.sub(r"(?m)^force = .*$", f"force = {value(force, unit)}", text)
-
-
-@pytest.mark.parametrize(
-    ("speed", "force", "unit", "word"),
-    [
-        ("[0, 5, 10]", "[0, 1, 2, 3]", "kN", "equally many"),
-        ("[0, 5]", "[0, 1]", "kN", "3 to 16"),
-        (str(list(range(17))), str(list(range(17))), "kN", "3 to 16"),
-        ("[0, 5, 5]", "[0, 1, 2]", "kN", "rise"),
-        ("[1, 5, 10]", "[0, 1, 2]", "kN", "start at speed 0"),
-        ("[0, 5, 10]", "[0, -1, 2]", "kN", "negative"),
-        ("[0, 5, 10]", '[0, "x", 2]', "kN", "list of numbers"),
-        ("[0, 5, 10]", "5", "kN", "list of numbers"),
-        ("[0, nan, 10]", "[0, 1, 2]", "kN", "finite"),
-        ("[0, 5, 10]", "[0, 1, inf]", "kN", "finite"),
-        ("[0, 5, 10]", "[0, 1, 2]", "lbf", "use N, kN"),
-    ],
-)
-def test_bad_resistance_curves_are_refused(
-    tmp_path: Path, speed: str, force: str, unit: str, word: str
-) -> None:
-    check_refused(tmp_path, curve(speed, force, unit), ("[hull.resistance]", word))
 
 
 def test_unknown_names_and_unreadable_files_are_refused(tmp_path: Path) -> None:

@@ -49,34 +49,6 @@ def test_every_named_sea_state_can_be_sailed(name: str) -> None:
     assert height == pytest.approx(state.hs, rel=1e-12)
 
 
-def test_deep_water_waves_run_down_the_wind_by_default() -> None:
-    sea = realise(SeaState(hs=1.0, wind=8.0, wind_from=math.radians(135.0)))
-    north, east = sea.waves[waves.K_NORTH], sea.waves[waves.K_EAST]
-    np.testing.assert_allclose(np.arctan2(east, north), math.radians(-45.0), rtol=1e-12)
-    np.testing.assert_allclose(
-        np.hypot(north, east), sea.waves[waves.OMEGA] ** 2 / GRAVITY, rtol=1e-12
-    )
-    given = realise(SeaState(hs=1.0, wind=8.0, wave_to=0.3))
-    np.testing.assert_allclose(
-        np.arctan2(given.waves[waves.K_EAST], given.waves[waves.K_NORTH]), 0.3, rtol=1e-12
-    )
-
-
-def test_current_goes_where_it_is_said_to() -> None:
-    sea = realise(SeaState(current=2.0, current_to=math.radians(90.0)))
-    assert sea.weather["current_east"] == pytest.approx(2.0)
-    assert abs(sea.weather["current_north"]) < 1e-15
-
-
-def test_one_seed_one_sea() -> None:
-    state = SeaState.named("3")
-    one, same, other = realise(state, 1), realise(state, 1), realise(state, 2)
-    np.testing.assert_array_equal(one.waves, same.waves)
-    np.testing.assert_array_equal(one.gusts, same.gusts)
-    assert not np.any(one.waves[waves.PHASE] == other.waves[waves.PHASE])
-    assert not np.any(one.gusts[1] == other.gusts[1])
-
-
 def test_waves_and_gusts_have_sources_of_their_own() -> None:
     both = realise(SeaState(hs=0.5, wind=5.0))
     no_wind = realise(SeaState(hs=0.5))

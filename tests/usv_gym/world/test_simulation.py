@@ -72,18 +72,6 @@ def test_a_seed_is_a_run() -> None:
     assert np.all(z[5:, 5] != z_other[5:, 5])
 
 
-def test_a_reset_boat_remembers_nothing() -> None:
-    sim = Simulation(1, BOAT, SEA, faults=GPS_LOSS)
-    runs = []
-    for _ in range(2):
-        sim.reset([0], [np.random.default_rng(3)])
-        for k in range(STEPS):
-            sim.step(CMD[k][None])
-        runs.append((sim.state.copy(), sim.z.copy(), sim.t.copy(), sim.cmd.copy()))
-    for one, two in zip(*runs, strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
 def test_sensors_do_not_move_the_boat() -> None:
     states, _ = run()
     perfect, _ = run(suite=SensorSuite.perfect())

@@ -163,7 +163,3 @@ def test_started_faults_are_those_that_are_seeded() -> None:
         assert begin == start and (number == 0 or f"@{start:.1f}" in SETS.text(number, begin))
         seen.add(int(number))
     assert seen == {0, 1, 2}
-
-
-def test_a_set_without_faults_is_called_none() -> None:
-    assert SETS.text(0, 12.0) == "none" and FaultSets([]).most == 0

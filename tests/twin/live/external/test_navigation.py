@@ -327,35 +327,41 @@ def test_the_stated_sd_holds_the_error(sailed: list[Sailed]) -> None:
 
 
 def test_without_a_twin_the_failsafe_holds_the_boat() -> None:
-    one = sail(twin=False, end=LOST + 40.0)
+    one = sail(twin=False, lost=45.0, end=45.0 + 40.0)
     assert [mode for _, mode in one.ekf.modes] == [AUTO, HOLD]
-    assert one.ekf.modes[1][0] == pytest.approx(LOST + 8.0, abs=0.5)
+    assert one.ekf.modes[1][0] == pytest.approx(45.0 + 8.0, abs=0.5)
     assert math.hypot(*one.ekf.pilot.seen[-1].velocity[:2]) < 1.5  # it drifts
 
 
-def test_the_same_seed_is_the_same_flight(sailed: list[Sailed]) -> None:
-    again = sail(1)
-    np.testing.assert_array_equal(again.run.log.truth, sailed[0].run.log.truth)
-    assert again.events == sailed[0].events
+@pytest.fixture(scope="module")
+def early() -> Sailed:
+    """Return a flight that loses GPS before the twin has seen enough."""
+    return sail(end=60.0, lost=45.0)
 
 
-def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
-    one = sail(end=60.0, lost=45.0)
-    assert one.states() == ["lost"]
-    assert "of 30 s under way" in one.events[-2][1]
-    assert "fell to Hold" in one.events[-1][1]
-    assert one.ekf.source == 1
+def test_the_same_seed_is_the_same_flight(early: Sailed) -> None:
+    again = sail(end=60.0, lost=45.0)
+    np.testing.assert_array_equal(again.run.log.truth, early.run.log.truth)
+    np.testing.assert_array_equal(again.stated, early.stated)
+    assert again.events == early.events
+
+
+def test_a_twin_that_has_seen_too_little_does_not_take_over(early: Sailed) -> None:
+    assert early.states() == ["lost"]
+    assert "of 30 s under way" in early.events[-2][1]
+    assert "fell to Hold" in early.events[-1][1]
+    assert early.ekf.source == 1
 
 
 def test_a_twin_that_no_longer_knows_gives_up() -> None:
-    one = sail(end=LOST + 45.0, max_sd_m=2.0)
+    one = sail(lost=70.0, end=70.0 + 45.0, max_sd_m=2.0)
     assert one.states() == ["ready", "lost", "aiding", "gave up"]
     assert one.ekf.source == 1
     assert one.ekf.modes[-1][1] == HOLD
 
 
 def test_a_source_that_is_refused_is_asked_for_again_and_said() -> None:
-    one = sail(end=LOST + 4.0, refuse=True)
+    one = sail(lost=70.0, end=70.0 + 4.0, refuse=True)
     refused = [text for _, text in one.events if "refused source set 2" in text]
     assert 4 <= len(refused) <= 7
     assert one.run.navigation is not None and one.run.navigation.state == "lost"

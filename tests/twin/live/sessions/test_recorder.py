@@ -87,7 +87,7 @@ def test_a_log_whose_last_line_is_torn_can_be_read(log, tmp_path):
     whole = path.read_bytes()
     rows = len(Log.read(path))
     last = whole[:-1].rindex(b"\n") + 1
-    for cut in range(last, len(whole)):
+    for cut in (*range(last, len(whole), 4), len(whole) - 1):
         path.write_bytes(whole[:cut])
         torn = Log.read(path)
         assert len(torn) in (rows - 1, rows)
