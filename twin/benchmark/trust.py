@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -365,12 +364,8 @@ class TrustMeter:
 
     def _plan(self, row: int, horizon: float) -> tuple[Array, float]:
         """Return the commands after a row, and the time between them, s."""
-        return known_plan(self.log, row, horizon, self._dt), self._dt
-
-    @functools.cached_property
-    def _dt(self) -> float:
-        """Step of the forecasts, s."""
-        return min(max(self.log.dt, FORECAST_STEP_MIN_S), FORECAST_STEP_MAX_S)
+        dt = min(max(self.log.dt, FORECAST_STEP_MIN_S), FORECAST_STEP_MAX_S)
+        return known_plan(self.log, row, horizon, dt), dt
 
     def _note_tilt(self, row: int) -> None:
         """Forecast roll and pitch from a row: the boat heels as it will turn until then."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import gzip
 import math
 from collections.abc import Collection, Iterator, Sequence
@@ -155,7 +156,7 @@ class Log:
         """Yield ``(t, z, cmd)`` of each row, as a twin would meet them on board."""
         return zip(self.t.tolist(), self.z, self.cmd, strict=True)
 
-    @property
+    @functools.cached_property
     def dt(self) -> float:
         """Median step of the time, s."""
         if len(self) < 2:
