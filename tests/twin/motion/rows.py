@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.integrity.sensing import sense_row
-from twin.integrity.state import initial_integrity, integrity_settings
+from tests.twin.rows import NO_MOTION, Sensed
+from twin.motion.attitude import is_measured
 from twin.motion.deck_motion import DeckMotion
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 
 BOAT = particulars_of(Vessel.load("usv75"))
-SETTINGS = integrity_settings(BOAT)
 
 
 def take(
     motion: DeckMotion, t: float, dt: float, z: np.ndarray, state: np.ndarray, ready: bool
 ) -> np.ndarray:
     """Let the motion take a row, and return it as an upright boat would have it."""
-    z, health, restart = np.array(z, float), initial_integrity(BOAT), np.zeros(100)
-    given = np.zeros(4), np.ascontiguousarray(state), ready, health, SETTINGS, motion.arrays(z)
-    sense_row(t, dt, z, *given, np.empty(len(z)), np.empty(4), restart)
-    return z
+    boat, given = Sensed(BOAT, t - dt if dt > 0.0 else np.nan), NO_MOTION
+    if motion.active or is_measured(z):
+        given = motion.memory[None], motion.settings, motion.scratch
+    boat.take(t, z, np.zeros(4), state, ready, given)
+    return boat.row["z"].copy()
