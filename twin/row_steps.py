@@ -41,7 +41,7 @@ def _sense(i, nav, boats):
     return dt
 
 
-@kernel
+@inlined
 def take_ukf(i, boats, memory, config, work):
     """Let boat i take its row, if it is new; return the time since the row before, s, or -1."""
     row, nav = as_record(boats.rows[i], ROW), as_record(memory.nav, NAVIGATION)
@@ -52,7 +52,7 @@ def take_ukf(i, boats, memory, config, work):
     return dt
 
 
-@kernel
+@inlined
 def take_plus(i, boats, memory, config, work):
     """Do for ``dsw-ukf-plus`` what :func:`take_ukf` does for ``ukf``."""
     row, nav = as_record(boats.rows[i], ROW), as_record(memory.nav, NAVIGATION)
