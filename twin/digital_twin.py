@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.batch import HEALTH, Twins
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, STATE, TIME
 from twin.checkpoint import (
     StateError,
@@ -24,17 +26,20 @@ from twin.checkpoint import (
 )
 from twin.integrity.history import HealthHistory
 from twin.integrity.monitor import SensorMonitor, SensorStatus
+from twin.integrity.sensing import ROW
 from twin.logs.clock import MONTH_S
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
-from twin.motion.deck_motion import DeckMotion, MotionEstimate
+from twin.motion.attitude import is_measured
+from twin.motion.deck_motion import MotionEstimate
 from twin.motion.forecast_state import CHANNELS, HORIZONS
 from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
 from twin.predictors.registry import DEFAULT, PREDICTORS, base_name, make_predictor
 from usv_kernel.errors import ArgumentError, UsvTwinError
+from usv_kernel.records import field_at
 
 __all__ = [
     "PLANS",
@@ -44,6 +49,8 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+_LAST, _BEGUN, _LOST_AT = (field_at(ROW, name) for name in ("last", "begun", "lost_at"))
 
 _RATES = ("p_radps", "q_radps", "vertical_speed_mps")
 """Columns of roll rate, pitch rate and vertical speed of the origin."""
@@ -89,6 +96,8 @@ class Twin:
         Estimates and predicts.
     name : str or None
         Its name in ``twin.PREDICTORS``; None for an object.
+    twins : Twins
+        What is remembered, as a batch of one.
     t : float
         Time of the last row, s; NaN before the first.
     cmd : ndarray, shape (4,)
@@ -133,13 +142,56 @@ class Twin:
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
-        self.motion = DeckMotion(particulars)
-        self.monitor = SensorMonitor(particulars)
+        self.twins = Twins(particulars, self.predictor)
+        self.monitor = SensorMonitor(self.twins.rows[0, HEALTH])
         self.health_history = HealthHistory(self.monitor)
-        self.begun = math.nan
         self.datum: Datum | None = None
-        self.t = self._lost_at = self._noted = math.nan
-        self.cmd = np.zeros(len(COMMANDS))
+        self._noted = math.nan
+        self.attach(self.twins)
+
+    def attach(self, twins: Twins) -> None:
+        """Be the one boat of these twins from now on."""
+        self.twins, self.predictor, self.motion = twins, twins.predictors[0], twins.motion
+        self.monitor.memory = twins.rows[0, HEALTH]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become a copy."""
+        vars(self).update(state)
+        self.attach(self.twins)
+
+    def take_over(self, twins: Twins, i: int) -> None:
+        """Become a copy of boat i of twins."""
+        own = self.twins
+        if not own.kernel:
+            own.predictors[0] = copy.deepcopy(twins.predictors[i])
+        if twins.motions is not None:
+            own.measure_motion()
+            own.motions[0] = twins.motions[i]  # type: ignore[index]
+        own.rows[0] = twins.rows[i, : own.rows.shape[1]]
+        for memory, theirs in zip(own.memory, twins.memory, strict=True):
+            memory[0] = theirs[i]
+        self.attach(own)
+        self._tell_time()
+
+    @property
+    def t(self) -> float:
+        """Time of the last row, s."""
+        return self.twins.rows.item(0, _LAST)
+
+    @property
+    def begun(self) -> float:
+        """Time of the first row, s; NaN before it."""
+        return self.twins.rows.item(0, _BEGUN)
+
+    @property
+    def cmd(self) -> Array:
+        """Command (4,) of the last row."""
+        return np.array(self.twins.boats["cmd"][0])
+
+    @property
+    def _lost_at(self) -> float:
+        """When the navigation was last found lost, s; NaN: never."""
+        return self.twins.rows.item(0, _LOST_AT)
 
     def __repr__(self) -> str:
         """Return predictor, boat and time."""
@@ -149,12 +201,9 @@ class Twin:
 
     def reset(self) -> None:
         """Return to the state before the first row."""
-        self.predictor.reset()
-        self.motion.reset()
-        self.monitor.reset()
+        self.twins.reset(0)
         self.health_history.reset()
-        self.t = self.begun = self._lost_at = self._noted = math.nan
-        self.cmd = np.zeros(len(COMMANDS))
+        self._noted = math.nan
 
     def save(self, path: str | Path) -> None:
         """Write all that the twin knows to a file, to go on from later with :meth:`load`.
@@ -270,10 +319,11 @@ class Twin:
         check_fields({"t": t, "command": arrays["command"]}, {"t": twin.t, "command": twin.cmd})
         twin.datum = None if header["datum"] is None else Datum(**header["datum"])
         twin.monitor.load_state_dict(without_prefix("health", arrays))
-        twin.motion.load_state_dict(without_prefix("motion", arrays))
-        twin.begun = float(header["begun"])
-        twin._lost_at = float(header["lost_at"])
-        twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
+        if motion := without_prefix("motion", arrays):
+            twin.twins.measure_motion()
+            twin.motion.load_state_dict(motion)
+        row, begun, lost_at = twin.twins.boats[0], float(header["begun"]), float(header["lost_at"])
+        row["last"], row["begun"], row["lost_at"], row["cmd"] = t, begun, lost_at, arrays["command"]
         now = twin.predictor.estimate()
         if now.ready and not abs(now.t - twin.t) <= 1e-6:
             raise StateError(
@@ -324,23 +374,19 @@ class Twin:
 
     def feed(self, t: float, z: Array, cmd: Array) -> None:
         """Take one row without checks of its form; see :meth:`step`."""
-        dt = 0.0 if math.isnan(self.t) else t - self.t
-        if math.isnan(self.t):
-            self.begun = t
-        predictor, monitor = self.predictor, self.monitor
-        state, ready = predictor.navigation, predictor.ready
-        z, trusted, restart = monitor.take(t, dt, z, cmd, state, ready, self.motion.arrays(z))
-        predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
-        if restart is not None:
-            predictor.begin_again(restart)
-        predictor.update(t, dt, z, trusted)
-        self.t, self.cmd = t, cmd
+        if self.twins.motions is None and is_measured(z):
+            self.twins.measure_motion()
+        self.twins.take(t, z, cmd)
         self.note_health()
+
+    def _tell_time(self) -> None:
+        """Tell a predictor whose rows a kernel took when the last was."""
+        if self.twins.kernel:
+            self.predictor.t = self.t  # type: ignore[attr-defined]
 
     def note_health(self) -> None:
         """Note which sensors, or the navigation, changed their status in the row just taken."""
-        if self.predictor.lost:
-            self._lost_at = self.t
+        self._tell_time()
         # troubles of roll, pitch, heave and navigation are no part of that number
         others = self.motion.active or math.isfinite(self._lost_at)
         statuses = self.monitor.all_statuses

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
 from twin.checkpoint import State, check_fields, fill
-from twin.filters.navigation_state import RESTART
 from twin.integrity.checks import check_sensors
-from twin.integrity.sensing import sense_row
 from twin.integrity.state import (
     INTEGRITY,
     INTEGRITY_SETTINGS,
@@ -26,14 +24,13 @@ from twin.integrity.state import (
 )
 from twin.particulars import Particulars
 from usv_kernel.jit import kernel
-from usv_kernel.records import as_record, field_at, record_size
+from usv_kernel.records import as_record, field_at
 
 __all__ = ["SensorMonitor", "SensorStatus", "run_over", "statuses_of"]
 
 Array = NDArray[Any]
 
 _STATUSES = field_at(INTEGRITY, "statuses")
-_SWITCHED = field_at(INTEGRITY, "switched")
 
 _WIND_STATUS, _WIND_REASON, _WIND_KNOWN = (
     field_at(INTEGRITY, "wind") + field_at(WIND_CHECK, name)
@@ -83,48 +80,21 @@ def statuses_of(record: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
 
 
 class SensorMonitor:
-    """Tests sensors and commands of a boat against each other, row by row.
+    """What the sensor checks of a boat say, read from what they remember.
 
     Parameters
     ----------
-    particulars : Particulars
-        The boat and its instruments.
-
-    Attributes
-    ----------
     memory : ndarray
-        All that is remembered, in the layout of ``twin.integrity.state.INTEGRITY``.
-    record : record
-        The same by name: a view.
+        That, in the layout of ``twin.integrity.state.INTEGRITY``.
     """
 
-    def __init__(self, particulars: Particulars) -> None:
-        self._settings = integrity_settings(particulars)
-        self._initial = initial_integrity(particulars)
-        self._restart = np.zeros(record_size(RESTART))
-        self.remember(self._initial.copy())
+    def __init__(self, memory: Array) -> None:
+        self.memory = memory
 
-    def remember(self, memory: Array) -> None:
-        """Remember in this memory from now on; see :attr:`memory`."""
-        self.memory, self.record = memory, memory.view(INTEGRITY)[0]
-
-    def __getstate__(self) -> dict[str, Array]:
-        """Return what copies are made of: a copied record would be no view."""
-        return {
-            "settings": self._settings,
-            "initial": self._initial,
-            "memory": self.memory,
-        }
-
-    def __setstate__(self, state: dict[str, Array]) -> None:
-        """Become a copy."""
-        self._settings, self._initial = state["settings"], state["initial"]
-        self._restart = np.zeros(record_size(RESTART))
-        self.remember(state["memory"])
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self.memory[:] = self._initial
+    @property
+    def record(self) -> Any:
+        """The memory by name: a view."""
+        return self.memory.view(INTEGRITY)[0]
 
     @property
     def all_statuses(self) -> float:
@@ -147,27 +117,6 @@ class SensorMonitor:
         return bool(self.memory[_WIND_REASON] > 0.0 or self.memory[_WIND_KNOWN] > 0.0) and (
             self.memory[_WIND_STATUS] != OK
         )
-
-    def take(
-        self, t: float, dt: float, z: Array, cmd: Array, state: Array, ready: bool, motion: Any
-    ) -> tuple[Array, Array, Any]:
-        """Take a row, and return what of it can be trusted; see :func:`sense`.
-
-        ``motion`` are the arrays of :meth:`twin.motion.deck_motion.DeckMotion.arrays`.
-
-        Returns
-        -------
-        z, cmd : ndarray, shapes (19,), (4,)
-            The row without what cannot be trusted; its command, or the last one that was trusted.
-        restart : record of ``RESTART``, or None
-            Where the navigation begins again before this row; None: it goes on.
-        """
-        used, trusted, restart = np.empty(len(z)), np.empty(len(cmd)), self._restart
-        state = np.ascontiguousarray(state)
-        given = self.memory, self._settings, motion
-        sense_row(t, dt, z.copy(), cmd, state, ready, *given, used, trusted, restart)
-        again = self.memory.item(_SWITCHED) > 0.0
-        return used, trusted, restart.view(RESTART)[0].copy() if again else None
 
     def trusted(self, cmd: Array) -> Array:
         """Return the command (4,), or the last one that was trusted while it is in doubt."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import AHRS_ROLL, MOTION_AT, PSI, R, U
 from twin.checkpoint import State, check_fields, fill, record_views
-from twin.motion.attitude import is_measured, take_attitude
+from twin.motion.attitude import take_attitude
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import (
     CHANNELS,
@@ -363,15 +363,6 @@ class DeckMotion:
     def active(self) -> bool:
         """Whether a row had a sample of one of ``usv_kernel.channels.MOTION_CHANNELS``."""
         return self._memory is not None and bool(self._memory[_ROWS] > 0.0)
-
-    def arrays(self, z: Array) -> tuple[Any, Any, Any]:
-        """Return memory (1, ...), settings and scratch; None where no row shows such motion.
-
-        Neither the row (19,), nor one before.
-        """
-        if not (self.active or is_measured(z)):
-            return None, None, None
-        return self.memory[None], self.settings, self.scratch
 
     def estimate(self) -> MotionEstimate | None:
         """Return attitude and vertical motion at the last row; None where nothing measures them."""

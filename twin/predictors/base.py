@@ -36,6 +36,7 @@ __all__ = [
     "Prediction",
     "Predictor",
     "check_forecast",
+    "plain",
 ]
 
 Array = NDArray[Any]
@@ -47,6 +48,11 @@ Forecaster = Callable[[Array, float], Array]
 
 class ForecastError(UsvTwinError):
     """A forecast with NaN or infinity; the message names predictor, origin, step and channel."""
+
+
+def plain(value: Any) -> Any:
+    """Return NamedTuples as plain tuples, all the way down."""
+    return tuple(map(plain, value)) if isinstance(value, tuple) else value
 
 
 def check_forecast(predictor: str, t0: float, after: Array, states: Array) -> None:
@@ -251,6 +257,9 @@ class Predictor(ABC):
     """... their units ..."""
     parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
     """... and first and last + 1 of those in the equation of each motion."""
+    is_compiled = False
+    """Whether exactly this class keeps all that it remembers in ``memory``, and has a kernel in
+    :mod:`twin.row_steps`."""
     needs_simulator = False
     """Whether the class takes the simulator's ``vessel``, ``sea`` and ``dof``."""
     tuning: ClassVar[str] = "not stated"

@@ -35,7 +35,7 @@ from twin.model.priors import boat_or, population_prior
 from twin.model.rollout import GRID, upsample
 from twin.model.structure import N_STATES
 from twin.particulars import STUDY_LENGTH_M, STUDY_SPEED_MPS, Particulars
-from twin.predictors.base import ParametersInUse, Prediction
+from twin.predictors.base import ParametersInUse, Prediction, plain
 from twin.predictors.forecast import (
     Draws,
     Forecast,
@@ -60,7 +60,7 @@ from twin.predictors.plus_update import (
     PlusWork,
     update_plus,
 )
-from twin.predictors.ukf import RolloutInputs, UKFPredictor, plain
+from twin.predictors.ukf import RolloutInputs, UKFPredictor
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -143,6 +143,7 @@ class PlusPredictor(UKFPredictor):
     """
 
     tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
+    is_compiled = True
 
     def __init__(
         self,

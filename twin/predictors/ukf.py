@@ -57,7 +57,7 @@ from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.rollout import upsample
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.base import Estimate, Prediction, Predictor, plain
 from twin.predictors.forecast import (
     Forecast,
     ForecastConfig,
@@ -84,7 +84,6 @@ __all__ = [
     "UKFMemory",
     "UKFPredictor",
     "UKFWork",
-    "plain",
     "tight_step",
 ]
 
@@ -484,11 +483,6 @@ class RolloutInputs(NamedTuple):
     prior: Array  # (p,): parameters to fall back to where a model exceeds both by far
 
 
-def plain(value: Any) -> Any:
-    """Return NamedTuples as plain tuples, all the way down."""
-    return tuple(map(plain, value)) if isinstance(value, tuple) else value
-
-
 class UKFPredictor(ModelPredictor):
     """Plain joint UKF behind the tight navigation filter.
 
@@ -509,6 +503,7 @@ class UKFPredictor(ModelPredictor):
     """
 
     tuning = "about 60 configurations in the study"
+    is_compiled = True
 
     def __init__(
         self,

@@ -21,7 +21,6 @@ from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
 from twin.motion.deck_motion import Z90
 from twin.predictors.forecast import Beginning, forecast_mean
-from usv_gym.envs.episodes import EPISODES
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import (
     AHRS_BIT,
@@ -303,13 +302,15 @@ def keep_forecast(start, boat, noted, happens, period, note, at, sizes):
 
 
 @inlined
-def keep_with_model(i, boats, noted, period, begin, nav, at):
-    """Keep the forecast of boat i, if it is time, and what it begins with, ``begin``."""
-    note, boat = boats.notes[i], as_record(boats.rows[i], BOAT)
+def keep_with_model(row, simulation, noted, period, begin, doubted, note, at):
+    """Keep the forecast of a boat, if it is time, and what it begins with, ``begin``.
+
+    ``row`` is the boat's of the simulator, ``doubted`` whether its commands are.
+    """
+    boat = as_record(row, BOAT)
     if not is_due(boat, note, at):
         return
-    simulation = as_record(boats.shared, EPISODES).simulation
-    happens = is_in_loss(boat.t, boats.rows[i], simulation), nav.commands_doubted > 0.0
+    happens = is_in_loss(boat.t, row, simulation), doubted
     sizes = begin.params.shape[0], begin.means.shape[1]
     place = keep_forecast(begin.start[0], boat, noted, happens, period, note, at, sizes)
     kept = _model_of(note, place, *sizes)

@@ -8,18 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
-from twin.filters.navigation_state import NAVIGATION, NAVIGATION_SETTINGS, NAVIGATION_WORK
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
     filter_workspace,
 )
-from twin.integrity.checks import write_restart
-from twin.integrity.sensing import sense
-from twin.integrity.state import INTEGRITY, INTEGRITY_SETTINGS, SENSORS
+from twin.integrity.sensing import ROW, Boats
+from twin.integrity.state import INTEGRITY_SETTINGS, SENSORS
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
-from twin.model.structure import N_STATES, ModelTerms
+from twin.model.structure import N_STATES
 from twin.motion.deck_motion import (
     MOTION,
     MOTION_SETTINGS,
@@ -44,8 +43,9 @@ from twin.predictors.forecast import (
     mean_products,
     sigma_covariances,
 )
-from twin.predictors.plus_update import PlusMemory, PlusWork, plus_config_of, plus_step
-from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
+from twin.predictors.plus_update import PlusWork, plus_config_of
+from twin.predictors.ukf import UKFWork
+from twin.row_steps import plus_memory, take_plus, take_ukf, ukf_config_of, ukf_memory
 from twin.sim.forecast_scores import (
     Buffers,
     grade_by_model,
@@ -71,7 +71,6 @@ from usv_gym.envs.observation import (
 from usv_gym.envs.scoring import COURSE_ERROR, CROSS_TRACK, ERRORS, NEXT_TURN, TO_GO, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
-from usv_kernel.arrays import shaped
 from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record, record_size
@@ -87,14 +86,12 @@ __all__ = [
     "TRUST",
     "TWIN_OBSERVATION",
     "WAVE_STEPS",
-    "Boats",
-    "describe_flat",
-    "describe_motion_flat",
+    "Scene",
+    "describe_row",
+    "give_row",
     "keep_forecast_flat",
-    "note_attitude_flat",
     "observe_plus",
     "observe_ukf",
-    "take_row",
 ]
 
 _SD = ("sd_forward", "sd_starboard", "sd_heading", "sd_surge", "sd_sway", "sd_yaw_rate")
@@ -132,16 +129,12 @@ WAVE_STEPS = round(ROWS * LONG_STEP / GRID)
 
 NOTE = np.dtype(
     [
-        ("last", "f8"),  # time of the last row, s; NaN before the first
-        ("begun", "f8"),  # time of the first row, s
+        *((name, ROW[name]) for name in ROW.names or ()),
         ("shown", "f8"),  # time of the last row that was written to the observation, s
         ("covs_due", "f8"),  # time of the next covariances ahead, s
         ("leg", "f8"),  # leg of the path, by the twin's state
         ("path_errors", "f8", len(ERRORS)),  # see usv_gym.envs.tasks.ERRORS
         ("position_error", "f8"),  # distance of the twin's position from the true one, m
-        ("z", "f8", len(MEASUREMENTS)),  # measurement row
-        ("used", "f8", len(MEASUREMENTS)),  # the same without samples of excluded sensors
-        ("trusted", "f8", N_ACT),  # command that the twin takes
         ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
         ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
         ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
@@ -149,23 +142,21 @@ NOTE = np.dtype(
         ("roll", "f8", 4),  # roll, pitch by the twin, and by the truth, rad
         ("quiet", "f8", len(QUIET_SPANS)),  # probabilities of a quiet deck
         ("hs", "f8"),  # significant height of the waves by the twin, m
-        ("health", INTEGRITY),  # what the sensor checks remember
     ]
 )
-"""What is noted of each boat between observations ..."""
+"""The row of a boat, and what is noted behind it between observations ..."""
 
 GRADES_AT = record_size(NOTE)
 """... and where that begins which is kept of its forecasts."""
 
 SETTINGS = np.dtype(
     [
+        ("health", INTEGRITY_SETTINGS),  # what the sensor checks are given
         ("period", "f8"),  # the covariances ahead are updated this often, s
         ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
-        ("look", "f8"),  # 1 where observations are to be written
         ("show_motion", "f8"),  # 1 where they hold roll, pitch and heave
         ("grading", "f8"),  # 1 where forecasts are graded
         ("forecasting", "f8"),  # 1 where forecasts are made: they are shown, graded or drawn
-        ("health", INTEGRITY_SETTINGS),  # what the sensor checks are given
     ]
 )
 """What all boats of a batch have in common."""
@@ -188,18 +179,12 @@ ATTITUDE_OBSERVATION = (
 freedom."""
 
 
-class Boats(NamedTuple):
-    """The simulated boats, row by row, and what is noted of each."""
+class Scene(NamedTuple):
+    """The simulated boats, row by row, and their tasks."""
 
     rows: Any  # see usv_gym.world.state.BOAT
     points: Any  # (n, P, 2) way points, m
-    notes: Any  # see NOTE
     shared: Any  # see usv_gym.envs.episodes.EPISODES
-    settings: Any  # see SETTINGS
-    # None with three degrees of freedom
-    motions: Any  # (n, size of MOTION)
-    motion_settings: Any  # see MOTION_SETTINGS
-    motion_work: Any  # see MOTION_WORK
 
 
 _NOW_SD = SHAFTS
@@ -225,43 +210,23 @@ def _spread(cov, heading, length, speed, out, at):
 
 
 @inlined
-def _next_row(boat, note):
-    """Write a boat's measurements to its note; return the time since the row before, or -1.
-
-    -1 stands for no new row: the boat is idle, or this twin is of another kind (infinite time).
-    """
-    t, last = boat.t, note.last
-    if t == last or last == math.inf:
-        return -1.0
-    if not math.isfinite(last):
-        note.begun = t
-    note.last = t
+def _give_row(boat, note):
+    """Write time, measurements and command of a boat to the row that its twin takes next."""
+    note.t = boat.t
     for k in range(len(SENSOR_CHANNELS)):
         note.z[k] = boat.measurement[k]
     for k in range(len(SENSOR_CHANNELS), MOTION_AT):
         note.z[k] = math.nan
     for k in range(MOTION_AT, len(MEASUREMENTS)):
         note.z[k] = boat.measurement[k - MOTION_AT + len(SENSOR_CHANNELS)]
-    return t - last if math.isfinite(last) else 0.0
+    for k in range(N_ACT):
+        note.cmd[k] = boat.reported[k]
 
 
 @kernel
-def take_row(boat, note):
-    """Do :func:`_next_row` on flat memory."""
-    return _next_row(boat, as_record(note, NOTE))
-
-
-@inlined
-def note_attitude(boat, note, attitude):
-    """Note roll and pitch, by the twin and by the truth."""
-    note.roll[0], note.roll[1] = attitude.tilt[0, ANGLE], attitude.tilt[1, ANGLE]
-    note.roll[2], note.roll[3] = boat.state[fr.PHI], boat.state[fr.THETA]
-
-
-@kernel
-def note_attitude_flat(boat, note, memory):
-    """Do :func:`note_attitude` on flat memory."""
-    note_attitude(boat, as_record(note, NOTE), as_record(memory, MOTION).attitude)
+def give_row(boat, note):
+    """Do :func:`_give_row` on flat memory."""
+    _give_row(boat, as_record(note, NOTE))
 
 
 @kernel
@@ -312,42 +277,24 @@ def describe_motion(s, note, memory, given, work, obs):
 
 
 @inlined
-def _note_motion(i, motions, boat, note):
-    """Do :func:`note_attitude`, if there is any."""
+def _show_motion(motions, i, s, boat, note, boats, shown, obs):
+    """Note roll and pitch, by the twin and by the truth; write their entries, if they are shown."""
     if motions is None:
         return
-    note_attitude(boat, note, as_record(motions[i], MOTION).attitude)
-
-
-@inlined
-def _show_motion(i, s, note, boats, motions, first, obs):
-    """Write the entries of roll, pitch and heave of a boat, if they are wanted."""
-    if motions is None:
-        return
-    if as_record(boats.settings, SETTINGS).show_motion > 0.0:
-        memory = as_record(motions[i], MOTION)
+    memory = as_record(motions[i], MOTION)
+    for k in range(2):
+        note.roll[k] = memory.attitude.tilt[k, ANGLE]
+    note.roll[2], note.roll[3] = boat.state[fr.PHI], boat.state[fr.THETA]
+    if shown > 0.0:
         work = as_record(boats.motion_work, MOTION_WORK)
         given = as_record(boats.motion_settings, MOTION_SETTINGS)
-        describe_motion(s, note, memory, given, work, obs[first + len(TWIN_OBSERVATION) :])
-
-
-@kernel
-def describe_motion_flat(s, note, memory, given, work, obs):
-    """Do :func:`describe_motion` on flat memory."""
-    describe_motion(
-        s,
-        as_record(note, NOTE),
-        as_record(memory, MOTION),
-        as_record(given, MOTION_SETTINGS),
-        as_record(work, MOTION_WORK),
-        obs,
-    )
+        describe_motion(s, note, memory, given, work, obs[len(TWIN_OBSERVATION) :])
 
 
 @inlined
 def _is_due(note, look):
     """Return whether a boat's part of the observation is to be written, and is not yet."""
-    if look == 0.0 or note.shown == note.last:
+    if not look or note.shown == note.last:
         return False
     note.shown = note.last
     return True
@@ -391,9 +338,14 @@ def describe(s, boat, note, points, rules, o):
 
 
 @kernel
-def describe_flat(s, boat, note, points, rules, o):
-    """Do :func:`describe` on flat memory."""
-    describe(s, boat, as_record(note, NOTE), points, rules, o)
+def describe_row(i, s, boats, scene, obs):
+    """Write the twin's part of the observation of boat i, whose twin says ``s``."""
+    boats, scene = Boats(*boats), Scene(*scene)
+    boat, note = as_record(scene.rows[i], BOAT), as_record(boats.rows[i], NOTE)
+    settings, shared = as_record(boats.settings, SETTINGS), as_record(scene.shared, EPISODES)
+    own = obs[i, int(shared.entries) :]
+    describe(s, boat, note, scene.points[i], shared.rules, own)
+    _show_motion(boats.motions, i, s, boat, note, boats, settings.show_motion, own)
 
 
 @inlined
@@ -417,16 +369,6 @@ def keep_forecast_flat(row, shared, notes, start, doubted, period):
     boat, note = as_record(row, BOAT), as_record(notes, NOTE)
     happens = is_in_loss(boat.t, row, as_record(shared, EPISODES).simulation), doubted
     keep_forecast(start, boat, note, happens, period, notes, GRADES_AT, (0, 0))
-
-
-_NAV_WORK = record_size(NAVIGATION_WORK)
-_NAV_SETTINGS = record_size(NAVIGATION_SETTINGS)
-
-
-@inlined
-def _split(memory, size):
-    """Return the first numbers of an array, and the others."""
-    return shaped(memory, 0, (size,)), shaped(memory, size, (memory.shape[0] - size,))
 
 
 _DRAWN_ROWS = HORIZON_ROWS + 1
@@ -473,29 +415,16 @@ def _draws_ahead(note, gps_var, nav, sources, config, out, draws, normal):
 
 
 @inlined
-def _check(dt, i, boat, note, nav, boats, settings):
-    """Do what comes before a twin takes a row."""
-    health, given, state, ready = note.health, settings.health, nav.n[:N_STATES], nav.begun > 0.0
-    z, cmd, used, trusted = note.z[:], boat.reported[:], note.used[:], note.trusted[:]
-    motion = boats.motions, boats.motion_settings, boats.motion_work
-    sense(note.last, dt, z, cmd, state, ready, health, given, i, motion, used, trusted)
-    _note_motion(i, boats.motions, boat, note)
-    nav.commands_doubted, nav.motion_doubted = health.commands_doubted, health.motion_doubted
-    if health.switched > 0.0:
-        write_restart(health, given, nav.restart)
-
-
-@inlined
-def _look(i, boat, note, boats, sources, config, nav, forecast, obs):
+def _look(i, look, boat, note, boats, scene, sources, config, nav, forecast, obs):
     """Forecast, and write the twin's part of a boat's observation, where that is due.
 
     ``forecast`` is its memory; scratch of sigma points, or draws and their normal numbers.
     """
-    settings, shared = as_record(boats.settings, SETTINGS), as_record(boats.shared, EPISODES)
-    if not _is_due(note, settings.look):
+    settings, shared = as_record(boats.settings, SETTINGS), as_record(scene.shared, EPISODES)
+    if not _is_due(note, look):
         return
     out, scratch, draws, normal = forecast
-    state, first = filter_state(sources.filter, config.model), int(shared.entries)
+    state, own = filter_state(sources.filter, config.model), obs[i, int(shared.entries) :]
     _write_variances(state.P, nav.P, settings.gps_var, note.now)
     if settings.forecasting > 0.0:
         _hold(note.trusted[:], out.held)
@@ -508,11 +437,14 @@ def _look(i, boat, note, boats, sources, config, nav, forecast, obs):
             gps_var = settings.gps_var
             _sigma_ahead(steps, note, gps_var, nav, sources, config, out, scratch)
             _draws_ahead(note, gps_var, nav, sources, config, out, draws, normal)
-    describe(state.x, boat, note, boats.points[i], shared.rules, obs[i, first:])
+    describe(state.x, boat, note, scene.points[i], shared.rules, own)
     if settings.grading > 0.0 and nav.begun > 0.0:
-        begin = beginning(state, out)
-        keep_with_model(i, boats, note, settings.period, begin, nav, GRADES_AT)
-    _show_motion(i, state.x, note, boats, boats.motions, first, obs[i])
+        begin, doubted = beginning(state, out), nav.commands_doubted > 0.0
+        row, flat = scene.rows[i], boats.rows[i]
+        keep_with_model(
+            row, shared.simulation, note, settings.period, begin, doubted, flat, GRADES_AT
+        )
+    _show_motion(boats.motions, i, state.x, boat, note, boats, settings.show_motion, own)
 
 
 @inlined
@@ -522,37 +454,38 @@ def _buffers_of(out):
 
 
 @kernel
-def observe_ukf(boats, memories, config, work, forecast, obs):
+def observe_ukf(look, boats, scene, memories, config, work, forecast, obs):
     """Let the twins of boats with a new row take it, and write their parts of the observations.
 
     The arguments are plain tuples, which numba takes from Python much faster than named ones, and
-    few arrays, as it checks each in every call.
+    few arrays, as it checks each in every call. Without ``look``, the rows are taken and no more.
     """
-    boats, work = Boats(*boats), UKFWork(*_split(work, _NAV_WORK))
-    values, which, limits, hull = config
-    of_nav, of_filter = _split(values, _NAV_SETTINGS)
-    config = UKFConfig(of_nav, of_filter, ModelTerms(which, limits, hull))
+    boats, scene, config, work = Boats(*boats), Scene(*scene), ukf_config_of(config), UKFWork(*work)
     model, settings = config.model, as_record(boats.settings, SETTINGS)
-    given, of_boat = filter_config(of_filter, model), ForecastConfig(of_filter, model, None)
-    out = forecast_of(forecast, which.shape[1], ROWS, 0)
-    scratch, again = filter_workspace(work.filter, which.shape[1]), _buffers_of(out)
+    given, of_boat = filter_config(config.filter, model), ForecastConfig(config.filter, model, None)
+    p = model.which.shape[1]
+    out, scratch = forecast_of(forecast[0], p, ROWS, 0), filter_workspace(work.filter, p)
+    again = _buffers_of(out)
     for i in range(boats.rows.shape[0]):
-        boat, note = as_record(boats.rows[i], BOAT), as_record(boats.notes[i], NOTE)
-        memory = UKFMemory(memories[0][i], memories[1][i])
-        nav, dt = as_record(memory.nav, NAVIGATION), _next_row(boat, note)
-        if dt >= 0.0:
-            _check(dt, i, boat, note, nav, boats, settings)
-            tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
-            if settings.grading > 0.0:
-                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, 0, again)
-        sources = Sources(memory.filter, None, None, None)
-        _look(i, boat, note, boats, sources, of_boat, nav, (out, scratch, None, None), obs)
+        boat, note = as_record(scene.rows[i], BOAT), as_record(boats.rows[i], NOTE)
+        _give_row(boat, note)
+        memory = ukf_memory(memories, i)
+        nav, dt = as_record(memory.nav, NAVIGATION), take_ukf(i, boats, memory, config, work)
+        if dt >= 0.0 and settings.grading > 0.0:
+            grade_by_model(dt, boat, boats.rows[i], GRADES_AT, given, 0, again)
+        sources, ahead = Sources(memory.filter, None, None, None), (out, scratch, None, None)
+        _look(i, look, boat, note, boats, scene, sources, of_boat, nav, ahead, obs)
 
 
 @kernel
-def observe_plus(boats, memories, config, work, forecast, obs):
+def observe_plus(look, boats, scene, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
-    boats, config, work = Boats(*boats), plus_config_of(config), PlusWork(*work)
+    boats, scene, config, work = (
+        Boats(*boats),
+        Scene(*scene),
+        plus_config_of(config),
+        PlusWork(*work),
+    )
     model, settings = config.model, as_record(boats.settings, SETTINGS)
     given = filter_config(config.filter, model)
     of_boat = ForecastConfig(config.filter, model, config.refit)
@@ -562,16 +495,11 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     ahead = out, None, draws_of(of_draws, p, ROWS, WAVE_STEPS, D), normal
     again = _buffers_of(out)
     for i in range(boats.rows.shape[0]):
-        boat, note = as_record(boats.rows[i], BOAT), as_record(boats.notes[i], NOTE)
-        navs, tight, rows, window, selector, segments, joint = memories
-        memory = PlusMemory(
-            navs[i], tight[i], rows[i], window[i], selector[i], segments[i], joint[i]
-        )
-        nav, dt = as_record(memory.nav, NAVIGATION), _next_row(boat, note)
-        if dt >= 0.0:
-            _check(dt, i, boat, note, nav, boats, settings)
-            plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
-            if settings.grading > 0.0:
-                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, ROWS, again)
+        boat, note = as_record(scene.rows[i], BOAT), as_record(boats.rows[i], NOTE)
+        _give_row(boat, note)
+        memory = plus_memory(memories, i)
+        nav, dt = as_record(memory.nav, NAVIGATION), take_plus(i, boats, memory, config, work)
+        if dt >= 0.0 and settings.grading > 0.0:
+            grade_by_model(dt, boat, boats.rows[i], GRADES_AT, given, ROWS, again)
         sources = Sources(memory.filter, memory.nav, memory.rows, memory.window)
-        _look(i, boat, note, boats, sources, of_boat, nav, ahead, obs)
+        _look(i, look, boat, note, boats, scene, sources, of_boat, nav, ahead, obs)

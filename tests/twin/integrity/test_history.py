@@ -8,7 +8,14 @@ import pytest
 from twin import Log, Twin
 from twin.integrity.history import CHANGES_KEPT, HealthHistory
 from twin.integrity.monitor import SensorMonitor, SensorStatus
-from twin.integrity.state import ABSENT, CONTRADICTS, EXCLUDED, OK, SENSORS
+from twin.integrity.state import (
+    ABSENT,
+    CONTRADICTS,
+    EXCLUDED,
+    OK,
+    SENSORS,
+    initial_integrity,
+)
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, Vessel
 
@@ -17,7 +24,7 @@ PARTICULARS = particulars_of(Vessel.load("usv75"))
 
 def history_of(changes) -> HealthHistory:
     """Return the history of rows every second in which one sensor changes its status."""
-    monitor = SensorMonitor(PARTICULARS)
+    monitor = SensorMonitor(initial_integrity(PARTICULARS))
     history = HealthHistory(monitor)
     for t in range(10):
         for sensor, status, reason in changes.get(t, ()):
@@ -44,7 +51,7 @@ def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
 
 def test_channel_that_goes_from_one_trouble_to_another_leaves_two_lines():
     troubles = {}
-    history = HealthHistory(SensorMonitor(PARTICULARS))
+    history = HealthHistory(SensorMonitor(initial_integrity(PARTICULARS)))
     for t in range(10):
         status = "excluded" if t < 6 else "absent"
         troubles = {"wind": SensorStatus(status, t, f"wind is {status}")} if t > 2 else {}
@@ -62,7 +69,7 @@ def test_status_at_a_time_is_that_of_the_row_before_it():
 
 
 def test_a_sensor_that_comes_and_goes_does_not_fill_the_memory():
-    monitor = SensorMonitor(PARTICULARS)
+    monitor = SensorMonitor(initial_integrity(PARTICULARS))
     history = HealthHistory(monitor)
     for t in range(2 * CHANGES_KEPT):
         monitor.record["sensors"]["status"] = OK if t % 2 else ABSENT

@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.twin.rows import Sensed
 from twin import Log, Particulars, Twin
 from twin.benchmark.loading import with_faults
 from twin.channels import MEASUREMENTS
 from twin.integrity.monitor import SensorMonitor, SensorStatus, run_over
-from twin.integrity.state import FROZEN, SENSORS
+from twin.integrity.state import FROZEN, SENSORS, initial_integrity
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import parse_faults
@@ -24,8 +25,6 @@ START_S = 70.0
 """When faults begin."""
 
 COMPASS_HZ = {20: 20.0, 5: 10.0, 1: 5.0}
-
-NO_MOTION = (None, None, None)
 
 
 def suite(rate: int) -> SensorSuite:
@@ -133,10 +132,10 @@ def test_reversed_commands_are_named_and_sensors_stay(vessel):
 
 def watched(log: Log, about: Particulars) -> Iterator[SensorMonitor]:
     """Yield the monitor after each row of a log."""
-    monitor = SensorMonitor(about)
-    for dt, (t, z, cmd) in zip(np.diff(log.t, prepend=log.t[0]), log, strict=True):
-        monitor.take(t, dt, z, cmd, np.zeros(6), False, NO_MOTION)
-        yield monitor
+    boat = Sensed(about)
+    for t, z, cmd in log:
+        boat.take(t, z, cmd)
+        yield boat.monitor
 
 
 @pytest.mark.parametrize("rate", [20, 5, 1])
@@ -182,7 +181,7 @@ def test_dead_reckoning_of_a_filter_without_gps_claims_what_it_errs():
 
 def test_the_state_of_a_monitor_is_all_that_it_remembers():
     twin = begun("usv75", 5)[1]
-    other = SensorMonitor(twin.particulars)
+    other = SensorMonitor(initial_integrity(twin.particulars))
     other.load_state_dict(twin.monitor.state_dict())
     np.testing.assert_array_equal(other.memory, twin.monitor.memory)
 
@@ -207,12 +206,17 @@ numbers = st.one_of(
     st.lists(st.sampled_from((1e-9, 0.01, 0.05, 1.0, 100.0, 1e6)), min_size=12, max_size=12),
 )
 def test_what_is_let_through_is_possible_under_any_rows(z, cmd, steps):
-    monitor = copy.deepcopy(begun("usv75", 5)[1].monitor)
+    twin = begun("usv75", 5)[1]
+    boat = Sensed(twin.particulars)
+    boat.monitor.memory[:] = twin.monitor.memory
     for _ in range(8):
         for row, dt in enumerate(steps):
-            out = monitor.take(0.0, dt, z[row], cmd[row], np.zeros(6), True, NO_MOTION)[0]
+            boat.row["last"] = 0.0
+            out = boat.take(
+                dt, np.pad(z[row], (0, 9), constant_values=np.nan), cmd[row], ready=True
+            )
             assert not np.isinf(out[:8]).any()
-    x = monitor.record["bank"]["filters"]["x"]
+    x = boat.monitor.record["bank"]["filters"]["x"]
     assert np.isfinite(x).all()
 
 
@@ -287,10 +291,10 @@ def test_backlog_of_a_stall_is_missing_time(rate):
 
 
 def test_rare_rows_of_a_boat_without_compass_are_used():
-    monitor = SensorMonitor(particulars_of(Vessel.load("usv75")))
+    boat = Sensed(particulars_of(Vessel.load("usv75")))
     for k in range(20):
         row = np.array([10.0 * k, 1.0, *[np.nan] * 17])
-        used = monitor.take(5.0 * k, 5.0, row, np.zeros(4), np.zeros(6), False, NO_MOTION)[0]
+        used = boat.take(5.0 * k, row, np.zeros(4))
         assert used[0] == 10.0 * k
 
 

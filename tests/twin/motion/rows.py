@@ -6,26 +6,31 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tests.twin.rows import NO_MOTION, Sensed
 from twin import Log
-from twin.integrity.sensing import sense_row
-from twin.integrity.state import initial_integrity, integrity_settings
+from twin.batch import HEALTH
+from twin.integrity.state import initial_integrity
+from twin.motion.attitude import is_measured
 from twin.motion.deck_motion import DeckMotion
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 
 BOAT = particulars_of(Vessel.load("usv75"))
-SETTINGS = integrity_settings(BOAT)
 NOTHING_SEEN = initial_integrity(BOAT)
+SENSED = Sensed(BOAT)
 
 
 def take(
     motion: DeckMotion, t: float, dt: float, z: np.ndarray, state: np.ndarray, ready: bool
 ) -> np.ndarray:
     """Let the motion take a row, and return it as an upright boat would have it."""
-    z, health, restart = np.array(z, float), NOTHING_SEEN.copy(), np.zeros(100)
-    given = np.zeros(4), np.ascontiguousarray(state), ready, health, SETTINGS, motion.arrays(z)
-    sense_row(t, dt, z, *given, np.empty(len(z)), np.empty(4), restart)
-    return z
+    given = NO_MOTION
+    SENSED.rows[0, HEALTH] = NOTHING_SEEN
+    SENSED.row["last"] = t - dt if dt > 0.0 else np.nan
+    if motion.active or is_measured(z):
+        given = motion.memory[None], motion.settings, motion.scratch
+    SENSED.take(t, z, np.zeros(4), state, ready, given)
+    return SENSED.row["z"].copy()
 
 
 def sail(

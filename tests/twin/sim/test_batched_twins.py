@@ -6,7 +6,7 @@ import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.model.rollout import LONG_STEP
-from twin.sim import batched_twins as observer
+from twin.predictors.registry import predictor_class
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION, CompiledTwins, SeparateTwins
 from usv_gym.envs.episodes import BOUND, OBSERVATION
 
@@ -29,7 +29,7 @@ def test_compiled_twins_equal_those_asked_one_by_one(twin, monkeypatch):
     """In what they observe, how far they trust sensors, and how their forecasts are graded."""
     options = OPTIONS | {"observation": "twin_health", "faults": "gps5@12+gyro-frozen8@20"}
     ours = gym.make("USVTwin-v0", twin=twin, **options)
-    monkeypatch.setattr(observer, "_COMPILED", {})
+    monkeypatch.setattr(predictor_class(twin), "is_compiled", False)
     theirs = gym.make("USVTwin-v0", twin=twin, **options)
     assert isinstance(ours.unwrapped.observer, CompiledTwins)
     assert isinstance(theirs.unwrapped.observer, SeparateTwins)
