@@ -252,7 +252,9 @@ def _without_gross(recording: Recording, found: list[Finding]) -> Recording:
     for finding in found:
         names = SENSORS.get(finding.sensor, (finding.sensor,))
         if finding.code == "frozen":
-            inside = (recording.t > finding.start) & (recording.t <= finding.end)
+            # of one that is frozen from the first row on, no sample was new
+            begun = (recording.t > finding.start) | (finding.start == recording.t[0])
+            inside = begun & (recording.t <= finding.end)
             recording = recording.without(names, inside)
         elif finding.code == "dead":
             recording = recording.without(names)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from twin.channels import COMMANDS, MEASUREMENTS, WIND_SPEED
 from twin.filters.navigation_state import ACCEL_LIMIT, TURN_LIMIT
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
+from twin.integrity.screening import CHANGED_SD
 from twin.logs.checks import is_gap
 from twin.logs.clock import (
     GAP_STEPS,
@@ -325,7 +326,7 @@ def _silent(
     """Return a finding on the longest silence of columns, missing or the same, if it is long.
 
     One that repeats itself elsewhere too is coarse, of a boat that rests, unless it goes on with
-    its largest step.
+    its largest step, or the gyro turned by more than that.
     """
     z = recording.z[:, [MEASUREMENTS.index(name) for name in names]]
     given = np.isfinite(z).all(axis=1)
@@ -350,6 +351,8 @@ def _silent(
     wrong = still
     if sensor != "rows":
         repeats = np.diff(np.concatenate((new[:1], new, [len(t)]))) - 1
+        if names == SENSORS["compass"]:
+            after = np.fmax(after, _turned(recording, t[new], values[new, 0], edges))
         wrong = ~still | (repeats == (size == 0.0).sum()) | (after > np.partition(size, -2)[-2])
     long = np.flatnonzero((silence > bound) & wrong)
     if not len(long):
@@ -368,6 +371,29 @@ def _silent(
     span = {"start": float(edges[k]), "end": float(edges[k + 1])}
     code = "frozen" if still[k] else "lost"
     return [Finding(WARNING, code, what, remedy, sensor, float(silence[k]), **span)]
+
+
+def _turned(recording: Recording, t: Array, headings: Array, edges: Array) -> Array:
+    """Return by how much the gyro turned between edges (K,), s, as (K - 1,) rad.
+
+    ``t`` and ``headings`` (M,) are new samples of the compass. From the second on, a line is fitted
+    to the difference of both angles: its slope is the gyro's bias. What is left is at worst the
+    random walk of the gyro's white noise, whose variance about such a line is 1/15 of that after
+    the same time. A turn counts beyond :data:`CHANGED_SD` of its standard deviations to both sides.
+    """
+    rate = np.nan_to_num(recording.z[:, MEASUREMENTS.index(GYROS[2])])
+    angle = np.append(0.0, np.cumsum(rate[1:] * np.diff(recording.t)))
+    if len(t) < ENOUGH or not rate.any():
+        return np.zeros(len(edges) - 1)
+    apart = np.interp(t, recording.t, angle)[1:] - np.unwrap(headings[1:])
+    bias, offset = np.polyfit(t[1:], apart, 1)
+    angle -= bias * recording.t
+    begins = np.searchsorted(recording.t, edges[:-1])
+    turned = np.maximum.reduceat(angle, begins) - np.minimum.reduceat(angle, begins)
+    # of the walk after a stretch, and of the bias found before it, over the time of the line
+    share = np.diff(edges) / (t[-1] - t[1])
+    sd = np.std(apart - bias * t[1:] - offset) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
+    return np.where(turned > 2.0 * CHANGED_SD * sd, turned, 0.0)
 
 
 def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:

@@ -151,9 +151,7 @@ class TwinObserver(Observer):
         self.notes, self._fresh = structured(self._notes, NOTE), np.zeros(beside)
         self._fresh[field_at(NOTE, "shown") - _ROW] = math.nan
         if self._grading:
-            self._fresh[GRADES_AT - _ROW] = (
-                FORECAST_EVERY_S  # when the first is kept
-            )
+            self._fresh[GRADES_AT - _ROW] = FORECAST_EVERY_S  # when the first is kept
         self._notes[:, _ROW:] = self._fresh
         status = self.notes["health"]["sensors"]["status"]
         self._infos = {"twin_position_error_m": self.position_error}

@@ -17,6 +17,7 @@ from twin.cli.pictures import draw_check
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.integrity.instruments import renewed
 from twin.integrity.log_check import LogCheck, check_recording
+from twin.integrity.rows import check_silence
 from twin.logs.datasets import known_ship
 from twin.logs.log import Log, read_table
 from twin.logs.recording import Recording
@@ -357,6 +358,37 @@ def test_a_compass_that_stops_is_named_though_it_passes_north_elsewhere() -> Non
 
     check = check_recording(recording(log, stop), boat)
     assert any(each.code == "frozen" and "compass" in each.what for each in check.findings)
+
+
+@pytest.mark.parametrize(("start", "end"), [(-1.0, 40.0), (60.0, 100.0), (110.0, 1e3)])
+def test_a_coarse_compass_that_stops_at_an_end_of_the_log_is_named(
+    start: float, end: float
+) -> None:
+    log, boat = sound(*RUNS["otter"])
+    names = ("compass_rad",)
+
+    def coarse(data: Columns) -> None:
+        data["compass_rad"] = np.radians(np.degrees(data["compass_rad"]).round(0))
+
+    check = check_recording(recording(log, coarse, during(start, end, held(*names))), boat)
+    assert serious(check) == {"frozen:compass"}
+    found = finding(check, "frozen:compass")
+    assert found.start == pytest.approx(max(start, 0.0), abs=1.5)
+    assert found.end == pytest.approx(min(end, log.t[-1]), abs=1.5)
+
+
+def test_a_coarse_compass_of_a_boat_that_rests_has_not_stopped() -> None:
+    rng, t = np.random.default_rng(3), 0.1 * np.arange(2000)
+    rate = np.where(t < 120.0, 0.2 * np.sin(0.1 * t), 0.0)
+    headings = np.degrees(0.1 * np.cumsum(rate))
+    data = {
+        "t_s": t,
+        "compass_rad": np.radians(headings.round(0)),
+        "gyro_radps": rate + 0.02 + 0.01 * rng.standard_normal(len(t)),
+        "gps_x_m": rng.standard_normal(len(t)),
+        "gps_y_m": rng.standard_normal(len(t)),
+    }
+    assert not check_silence(Recording.of(data, {}, "rest"))
 
 
 def test_marks_among_the_commands_are_named_and_no_other_fault() -> None:
