@@ -81,11 +81,16 @@ def check_command(
     failed, said, missing = False, set[str](), list[str]()
     in_use = {log: Path(ship or sibling_path(log, ".toml")) for log in logs}
     waiting = [log for log in logs if write is not None and _is_renewed(write, in_use[log])]
-    boats = {
-        log: particulars_for_log(log, ship, mapping)
-        for log in logs
-        if log not in waiting and (ship is not None or has_particulars(log))
-    }
+    boats: dict[Path, Particulars] = {}
+    for log in logs:
+        if log in waiting or (ship is None and not has_particulars(log)):
+            continue
+        try:
+            boats[log] = particulars_for_log(log, ship, mapping)
+        except ParticularsError as error:
+            if ship is not None or not no_twin:
+                raise
+            note(f"{error}; the log is checked without them")
     checks: dict[Path, LogCheck] = {}
     if write is not None:
         checks = {log: check_log(log, mapping, boats.get(log)) for log in logs}

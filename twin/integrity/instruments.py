@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -218,8 +218,9 @@ def particulars_text(
 def renewed(text: str, old: str) -> tuple[str, list[str]]:
     """Return a particulars file with what a user wrote by hand in the file of the boat.
 
-    That is each line of the old file without :data:`MARK`. Instruments that the log shows are kept
-    only where they were changed in a file of ``usv-twin check``.
+    That is each line of the old file without :data:`MARK`, and each line that is a comment.
+    Instruments that the log shows are kept only where they were changed in a file of ``usv-twin
+    check``.
 
     Parameters
     ----------
@@ -240,25 +241,55 @@ def renewed(text: str, old: str) -> tuple[str, list[str]]:
             tables.pop(f"{table}.{key}", None)
             new = tables.setdefault(table, {}).get(key, "")
             same = line.partition("#")[0].strip() == new.partition("#")[0].strip()
-            by_hand = old.startswith(HEAD) and given.get(key) != getattr(usual, key, None)
+            by_hand = HEAD in old and given.get(key) != getattr(usual, key, None)
             of_log = table == "instruments" and MARK in new and not by_hand
             if not (of_log or MARK in line or line.startswith("#")):
                 tables[table][key] = line
                 kept += [] if same else [table.partition(".")[2] or key]
     parts = ["\n".join([f"[{table}]", *lines.values()]) for table, lines in tables.items()]
-    return text[: text.index("\n[") + 1] + "\n\n".join(parts) + "\n", [*dict.fromkeys(kept)]
+    new = text[: text.index("\n[") + 1] + "\n\n".join(parts)
+    return _with_comments(new, old, text), [*dict.fromkeys(kept)]
+
+
+def _with_comments(text: str, old: str, written: str) -> str:
+    """Return a TOML file with the comments of an old one before the same tables and keys.
+
+    Those that stand in ``written`` are the program's, as is its head.
+    """
+    known, waiting, before = written.splitlines(), list[str](), dict[str, list[str]]()
+    for line, begun in _begun(old):
+        if begun:
+            before.setdefault(begun, []).extend(waiting)
+            waiting = []
+        elif line.startswith("#") and line not in known and not line.startswith(HEAD):
+            waiting.append(line)
+    lines = [each for line, begun in _begun(text) for each in (*before.pop(begun, ()), line)]
+    return "\n".join([*lines, *(line for left in before.values() for line in left), *waiting, ""])
+
+
+def _begun(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines of a TOML file with the table or key that each begins, or ""."""
+    table = ""
+    for line in text.splitlines():
+        if head := re.match(r"\s*\[([\w.]+)\]\s*(#.*)?$", line):
+            table = head[1]
+            yield line, table
+        else:
+            entry = re.match(r"\s*(?:# )?(\w+)\s*=", line)
+            yield line, f"{table}.{entry[1]}" if entry else ""
 
 
 def _lines_by_key(text: str) -> dict[str, dict[str, str]]:
     """Return the lines of a TOML file by table and key; those that begin no entry go with it."""
     tables: dict[str, dict[str, str]] = {}
     table, key = "", ""
-    for line in text.splitlines():
-        if head := re.match(r"\s*\[([\w.]+)\]\s*(#.*)?$", line):
-            table, key = head[1], ""
-        elif entry := re.match(r"\s*(?:# )?(\w+)\s*=", line):
-            key = entry[1]
-            tables.setdefault(table, {})[key] = line
+    for line, begun in _begun(text):
+        if begun:
+            own, _, key = begun.rpartition(".")
+            if line.lstrip().startswith("["):
+                table, key = begun, ""
+            else:
+                tables.setdefault(own, {})[key] = line
         elif key and line.strip() and not line.startswith("#"):
             tables[table][key] += f"\n{line}"
     return tables

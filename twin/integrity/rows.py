@@ -374,12 +374,12 @@ def _silent(
 
 
 def _turned(recording: Recording, t: Array, headings: Array, edges: Array) -> Array:
-    """Return by how much the gyro turned between edges (K,), s, as (K - 1,) rad.
+    """Return by how much the gyro turned at least between edges (K,), s, as (K - 1,) rad.
 
     ``t`` and ``headings`` (M,) are new samples of the compass. From the second on, a line is fitted
     to the difference of both angles: its slope is the gyro's bias. What is left is at worst the
     random walk of the gyro's white noise, whose variance about such a line is 1/15 of that after
-    the same time. A turn counts beyond :data:`CHANGED_SD` of its standard deviations to both sides.
+    the same time. So :data:`CHANGED_SD` of its standard deviations to both sides are taken off.
     """
     rate = np.nan_to_num(recording.z[:, MEASUREMENTS.index(GYROS[2])])
     angle = np.append(0.0, np.cumsum(rate[1:] * np.diff(recording.t)))
@@ -393,7 +393,7 @@ def _turned(recording: Recording, t: Array, headings: Array, edges: Array) -> Ar
     # of the walk after a stretch, and of the bias found before it, over the time of the line
     share = np.diff(edges) / (t[-1] - t[1])
     sd = np.std(apart - bias * t[1:] - offset) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
-    return np.where(turned > 2.0 * CHANGED_SD * sd, turned, 0.0)
+    return np.maximum(turned - 2.0 * CHANGED_SD * sd, 0.0)
 
 
 def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:

@@ -9,10 +9,13 @@ import numpy as np
 from twin.logs.columns import Array
 from twin.logs.signals import ENOUGH
 
-__all__ = ["HEADINGS", "NO_PULSES", "RARE", "marks_of"]
+__all__ = ["HEADINGS", "NO_PULSES", "NO_RPM", "RARE", "marks_of"]
 
 NO_PULSES = -1.0, 0.0, 65535.0
 """Numbers of a servo or motor controller that gets no pulses, in place of their width, us."""
+
+NO_RPM = -32768.0, 9999.0, 16383.75, 32767.0, 65535.0
+"""Numbers of NMEA 2000, CAN and loggers for a shaft speed that is not available, rpm."""
 
 HEADINGS = "compass_rad", "wind_from_rad", "apparent_wind_rad"
 """Columns of a log in which a receiver says 511, 999 or 360 degrees where it knows none."""

@@ -8,7 +8,9 @@ import unicodedata
 from collections.abc import Sequence
 
 __all__ = [
+    "AT_THE_COMPASS",
     "NAMES",
+    "OVER_GROUND",
     "is_rpm",
     "is_setpoint",
     "is_shaft",
@@ -25,7 +27,7 @@ __all__ = [
 SIDES = {
     "left": r"left|port|ps|l|1|bb|lf|lh|backbord|babord|babor|links|gauche|sinistr[ao]|sx|"
     r"izq|izquierd[ao]|esquerd[ao]|bombordo|bakboord|venstre|vanster",
-    "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite|"
+    "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite?|"
     r"destr[ao]|dx|der|derech[ao]|direit[ao]|boreste|estibordo|stuurboord|styrbord|hoyre|hoger",
 }
 """Words of the two sides; the last two letters or digits also end a word of a command."""
@@ -34,12 +36,12 @@ SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
     r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|giri|rotacao|"
     r"revoluciones|varvtal|propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|"
-    r"accelerateur|acceleratore|gass"
+    r"accelerateur|acceleratore|gass|schub"
 )
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|gouvernail|timon|timone|roer|roerhoek|ror|rorvinkel|leme|tiller|turn"
+    r"ruderwinkel|barre|safran|gouvernail|timon|timone|roer|roerhoek|stuur|ror|rorvinkel|leme|tiller|turn"
 )
 
 SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
@@ -55,18 +57,20 @@ PULSE = r"pwm|servo"
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
     r"datum|zeit|uhrzeit|zeitstempel|heure|temps|fecha|hora|tiempo|tempo|tijd|tid",
-    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|breddegrad|breedtegraad",
+    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|breddegrad|breedtegraad|"
+    r"breedte",
     "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine|"
-    r"lengdegrad|lengtegraad",
+    r"lengdegrad|lengtegraad|lengte",
     "north": r"x|north|northing|utmn",
     "east": r"y|east|easting|utme",
     "speed": r"sog|speed|spd|velocity|groundspeed|fahrt|vitesse|velocidad|velocidade|velocita|"
-    r"geschwindigkeit|fart|snelheid",
-    "course": r"cog|course|crs|gcrs|track|kurs|koers|route|rumbo|rumo|rotta",
+    r"geschwindigkeit|fart|vaart|snelheid",
+    "course": r"cog|course|crs|gcrs|track|kurs|koers|grondkoers|route|capfond|rumbo|rumo|rotta",
     "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|kompasskurs|steuerkurs|"
-    r"kompas|cap|prua|proa",
+    r"kompas|compas|bussola|brujula|aguja|agulha|voorliggende|cap|prua|proa",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
-    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz",
+    "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|"
+    r"drehrate|gierrate|giersnelheid|draaisnelheid|lacet|giro|velocitaangolare",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",
     "accel_z": r"az|accz|accelz",
@@ -87,6 +91,10 @@ NAMES = {
 }
 """Words in the names of columns, by what they mean."""
 
+OVER_GROUND = r"fond|fondo|fundo|grund|grond|ground"
+AT_THE_COMPASS = NAMES["heading"].replace("|cap|", "|")
+"""Words that make a course of a direction, and a heading."""
+
 UNIT_WORDS = {
     "deg": r"deg|degs|degree|degrees|°|grad|grados|gradi|degres",
     "rad": r"rad|rads|radians",
@@ -95,7 +103,7 @@ UNIT_WORDS = {
     "mph": r"mph",
     "mps": r"mps|ms1",
     "mps2": r"mps2|ms2|mpss",
-    "degps": r"degps|dps|degs",
+    "degps": r"degps|dps|degs|°ps|gradps|gradosps|gradips",
     "degpmin": r"degpmin|degmin|dpm",
     "radps": r"radps|rads",
     "rpm": r"rpm|[u1]pmin|trpmin|omwpmin",
@@ -143,7 +151,7 @@ def unit_of(name: str, among: Sequence[str]) -> str:
 def is_turn_rate(name: str) -> bool:
     """Return whether a name is that of a rate of turn, such as ``YawRate`` or ``yaw [deg/s]``."""
     turns = rf"{NAMES['heading']}|{NAMES['gyro']}|turn"
-    rates = r"rate|speed|velocity|vel|dot|angvel"
+    rates = rf"rate|velocity|vel|dot|angvel|{NAMES['speed']}"
     words = words_of(name)
     if not any(re.fullmatch(rf"({turns})({rates})?", word) for word in words):
         return False

@@ -14,10 +14,12 @@ from twin.logs.columns import EMPTY, Array
 from twin.logs.dates import DateFormat
 from twin.logs.errors import LogError
 from twin.logs.files import hemispheres, number_of, twice_said, units_line
-from twin.logs.marks import NO_PULSES, RARE, marks_of
+from twin.logs.marks import NO_PULSES, NO_RPM, RARE, marks_of
 from twin.logs.parquet import column_file
 from twin.logs.proposal.header_words import (
+    AT_THE_COMPASS,
     NAMES,
+    OVER_GROUND,
     is_rpm,
     is_setpoint,
     is_steering,
@@ -108,6 +110,8 @@ def _marks(name: str, values: Array) -> list[float]:
         and (np.isin(seen[none], NO_PULSES).all() or none.mean() < RARE)
     ):
         return np.unique(seen[none]).tolist() if len(pulses) else []
+    if is_rpm(name):
+        return [mark for mark in marks_of(values, math.inf) if mark in NO_RPM]
     if is_steering(name):
         return [mark for mark in marks_of(values, math.inf) if abs(mark) > 90.0]
     if any(means(name, NAMES[word]) for word in _ANGLES):
@@ -128,6 +132,8 @@ def pick(columns: Columns, meaning: str, *, numeric: bool = True) -> str | None:
         and not is_setpoint(name)
         # a yaw rate is neither a heading nor a speed
         and not (meaning in ("heading", "speed") and is_turn_rate(name))
+        and not (meaning == "heading" and means(name, OVER_GROUND))
+        and not (meaning == "course" and means(name, AT_THE_COMPASS))
     ]
     exact = [name for name in there if re.fullmatch(NAMES[meaning], "".join(words_of(name)[:1]))]
     return min(exact or there, key=lambda name: len(words_of(name)), default=None)
@@ -160,7 +166,7 @@ def put(
 ) -> None:
     """Take a column, and add the line that makes a column of the log of it."""
     if name in columns.marks:
-        numbers = ", ".join(f"{mark:g}" for mark in columns.marks[name])
+        numbers = ", ".join(f"{mark:.10g}" for mark in columns.marks[name])
         verb = "is" if len(columns.marks[name]) == 1 else "are"
         what = f"{verb} far from all others, and taken as no value"
         found.questions.append(f"{name}: {numbers} {what}")
