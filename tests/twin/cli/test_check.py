@@ -69,6 +69,11 @@ def test_faults_are_named_and_particulars_are_begun(faulty, tmp_path):
     assert "--ship" in out  # what the second part needs
     assert "# length = ?" in (tmp_path / "boat.toml").read_text()
     assert "--force" in run("check", faulty, *files, check=2).stderr
+    # a file beside the log that is not filled in yet is needed by a twin alone
+    shutil.copy(tmp_path / "boat.toml", faulty.with_suffix(".toml"))
+    assert "length" in run("check", faulty, "--no-picture", check=2).stderr
+    run("check", faulty, "--no-picture", "--no-twin", "--json", tmp_path / "b.json", check=1)
+    assert codes(tmp_path / "b.json", "error") == codes(tmp_path / "a.json", "error")
 
 
 def test_particulars_of_a_known_boat_are_written_whole(folder, tmp_path):
@@ -91,10 +96,13 @@ def test_particulars_written_anew_keep_what_was_written_by_hand(faulty, tmp_path
     text = re.sub("(?m)^gyro_sd = .*", "gyro_sd=0.003 # data sheet", text)
     text = re.sub("(?m)^gps_sd = .*", "gps_sd = 9.0  # log: scatter", text)
     text = text.replace("gps_arm = [0.0, 0.0, 0.0]", "gps_arm = [\n  1.0, 0.0,\n  -2.0,\n]")
-    path.write_text(text + "\n[deck]\nmax_speed = 0.4\n")
+    text = text.replace("[instruments]", "# measured in May\n[instruments]")
+    path.write_text("# my boat\n" + text + "\n[deck]\n# at the bow\nmax_speed = 0.4\n")
     out = run("check", faulty, *quiet, "--force", check=1).stdout
     assert "length, beam, draft, mass, gyro_sd, gps_arm, max_speed, which are of no log" in out
-    boat = Particulars.load(path)
+    boat, lines = Particulars.load(path), path.read_text().splitlines()
+    assert lines[lines.index("# measured in May") + 1] == "[instruments]"
+    assert lines[lines.index("# at the bow") + 1] == "max_speed = 0.4" and "# my boat" in lines
     assert (boat.length, boat.mass, boat.deck.max_speed) == (6.3, 3000.0, 0.4)
     assert (boat.instruments.gyro_sd, boat.instruments.gps_arm) == (0.003, (1.0, 0.0, -2.0))
     assert boat.steering == "drives" and boat.shaft_speed > 10.0 and boat.instruments.gps_sd < 1.0
@@ -264,5 +272,5 @@ def test_what_is_missing_is_said_once(folder, tmp_path):
     quiet, new = ("--no-twin", "--no-picture"), tmp_path / "a.toml"
     out = run("check", *logs, *quiet, "--write", new, check=None).stdout
     assert out.count("fill in length, beam, draft, mass") == 1 and "--write" not in out
-    said = run("check", logs[0], *quiet, check=2).stderr
+    said = run("check", logs[0], "--no-picture", check=2).stderr
     assert "length, beam, draft, mass; fill them in, and remove the # before them" in said

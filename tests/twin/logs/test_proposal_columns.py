@@ -17,7 +17,16 @@ from twin.integrity.log_check import check_log
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.marks import marks_of
-from twin.logs.proposal.header_words import is_shaft, other_side, sides_of
+from twin.logs.proposal.header_words import (
+    AT_THE_COMPASS,
+    NAMES,
+    OVER_GROUND,
+    is_shaft,
+    is_turn_rate,
+    means,
+    other_side,
+    sides_of,
+)
 from twin.logs.proposal.propose import propose
 
 ROWS = 1200
@@ -459,6 +468,37 @@ def test_pulses_of_no_width_are_no_commands(tmp_path: Path, mark: str, rows: ran
     assert log.cmd[:, 0].min() >= 0.0 and log.cmd[:, 0].max() < 4.2
     first = 0.0 if rows[0] == 0 else 4.0
     assert log.cmd[rows[0], 0] == pytest.approx(first, abs=0.2)
+
+
+@pytest.mark.parametrize("mark", ["65535", "-32768", "9999", "16383.75"])
+def test_a_shaft_speed_that_is_not_available_is_no_command(tmp_path: Path, mark: str) -> None:
+    def turns(k: int) -> str:
+        return mark if k % 50 == 5 else f"{800 + k % 7}"
+
+    path = foreign(tmp_path / "a.csv", pwm_left=turns, pwm_right=turns)
+    path.write_text(path.read_text().replace("pwm_left,pwm_right", "port_rpm,stbd_rpm"))
+    said, log = proposed(path)
+    assert f"empty = [{mark}]" in said
+    assert log.cmd[:, :2].min() >= 13.0 and log.cmd[:, :2].max() < 13.5
+
+
+@pytest.mark.parametrize(
+    ("course", "heading", "rate"),
+    [
+        ("Rumbo sobre el fondo", "Rumbo aguja", "Velocidad de giro (grados/s)"),
+        ("cap fond", "cap compas", "Vitesse de lacet (deg/s)"),
+        ("Kurs über Grund", "Kompasskurs", "Drehrate (°/s)"),
+        ("grondkoers", "voorliggende koers", "giersnelheid"),
+        ("koers over grond", "kompas", "draaisnelheid"),
+        ("Rotta", "Bussola", "Velocità angolare (°/s)"),
+    ],
+)
+def test_course_and_heading_are_told_apart_in_five_languages(
+    course: str, heading: str, rate: str
+) -> None:
+    assert means(heading, NAMES["heading"]) and not means(heading, OVER_GROUND)
+    assert means(course, NAMES["course"]) and not means(course, AT_THE_COMPASS)
+    assert is_turn_rate(rate) or means(rate, NAMES["gyro"])
 
 
 @pytest.mark.parametrize("mark", ["0", "65535"])

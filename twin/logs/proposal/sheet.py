@@ -177,7 +177,7 @@ def put(
 
 def marked(columns: Columns, name: str, more: str) -> str:
     """Return further keys of a line, with the numbers of its column that are no values."""
-    numbers = ", ".join(f"{mark:g}" for mark in columns.marks.get(name, ()))
+    numbers = ", ".join(f"{mark:.10g}" for mark in columns.marks.get(name, ()))
     return ", ".join(part for part in (more, f"empty = [{numbers}]" * bool(numbers)) if part)
 
 
