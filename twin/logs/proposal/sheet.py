@@ -112,8 +112,8 @@ def _marks(name: str, values: Array) -> list[float]:
         return np.unique(seen[none]).tolist() if len(pulses) else []
     if is_rpm(name):
         return [mark for mark in marks_of(values, math.inf) if mark in NO_RPM]
-    if is_steering(name):
-        return [mark for mark in marks_of(values, math.inf) if abs(mark) > 90.0]
+    if is_steering(name):  # pulse widths alone are far from each other
+        return [mark for mark in marks_of(values, math.inf) if abs(mark) > 90.0 and none.any()]
     if any(means(name, NAMES[word]) for word in _ANGLES):
         # a course of 0 may be that of a boat at rest
         course = not means(name, NAMES["heading"])
