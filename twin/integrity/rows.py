@@ -385,14 +385,17 @@ def _turned(recording: Recording, t: Array, headings: Array, edges: Array) -> Ar
     angle = np.append(0.0, np.cumsum(rate[1:] * np.diff(recording.t)))
     if len(t) < ENOUGH or not rate.any():
         return np.zeros(len(edges) - 1)
-    apart = np.interp(t, recording.t, angle)[1:] - np.unwrap(headings[1:])
-    bias, offset = np.polyfit(t[1:], apart, 1)
+    apart, after = (
+        np.interp(t, recording.t, angle)[1:] - np.unwrap(headings[1:]),
+        t[1:] - t[1:].mean(),
+    )
+    bias = float(after @ apart / (after @ after))
     angle -= bias * recording.t
-    begins = np.searchsorted(recording.t, edges[:-1])
+    begins = np.searchsorted(recording.t, edges[:-1]).clip(max=len(angle) - 1)
     turned = np.maximum.reduceat(angle, begins) - np.minimum.reduceat(angle, begins)
     # of the walk after a stretch, and of the bias found before it, over the time of the line
     share = np.diff(edges) / (t[-1] - t[1])
-    sd = np.std(apart - bias * t[1:] - offset) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
+    sd = np.std(apart - bias * after) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
     return np.maximum(turned - 2.0 * CHANGED_SD * sd, 0.0)
 
 

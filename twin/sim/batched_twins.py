@@ -86,7 +86,6 @@ TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 
 _ROW = record_size(ROW)
 _ALL_STATUSES = HEALTH.start + field_at(INTEGRITY, "statuses")
-_LAST = field_at(NOTE, "last")
 _COMMANDS_DOUBTED = HEALTH.start + field_at(INTEGRITY, "commands_doubted")
 _FORECASTING = field_at(SETTINGS, "forecasting")
 

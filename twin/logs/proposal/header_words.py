@@ -54,6 +54,13 @@ ROUND = r"yaw|angular|rotation|rot|yawrate|turnrate"
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
 
+OVER_GROUND = r"fond|fondo|fundo|grund|grond|ground"
+AT_THE_COMPASS = (
+    r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|"
+    r"kompasskurs|steuerkurs|kompas|compas|bussola|brujula|aguja|agulha|voorliggende|prua|proa"
+)
+"""Words that make a course of a direction, and a heading."""
+
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
     r"datum|zeit|uhrzeit|zeitstempel|heure|temps|fecha|hora|tiempo|tempo|tijd|tid",
@@ -66,8 +73,7 @@ NAMES = {
     "speed": r"sog|speed|spd|velocity|groundspeed|fahrt|vitesse|velocidad|velocidade|velocita|"
     r"geschwindigkeit|fart|vaart|snelheid",
     "course": r"cog|course|crs|gcrs|track|kurs|koers|grondkoers|route|capfond|rumbo|rumo|rotta",
-    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|kompasskurs|steuerkurs|"
-    r"kompas|compas|bussola|brujula|aguja|agulha|voorliggende|cap|prua|proa",
+    "heading": rf"{AT_THE_COMPASS}|cap",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
     "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|"
     r"drehrate|gierrate|giersnelheid|draaisnelheid|lacet|giro|velocitaangolare",
@@ -90,10 +96,6 @@ NAMES = {
     "apparent_from": r"awa|apparentwindangle|relativewindangle",
 }
 """Words in the names of columns, by what they mean."""
-
-OVER_GROUND = r"fond|fondo|fundo|grund|grond|ground"
-AT_THE_COMPASS = NAMES["heading"].replace("|cap|", "|")
-"""Words that make a course of a direction, and a heading."""
 
 UNIT_WORDS = {
     "deg": r"deg|degs|degree|degrees|°|grad|grados|gradi|degres",
