@@ -15,7 +15,7 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.copying import packed, unpacked
 from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_gym.envs.scoring import N_TERMS, TASK
+from usv_gym.envs.scoring import TASK
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
 
@@ -30,7 +30,6 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
 )
 """Where these stand in a task's flat record: one list a step is quicker than seven views."""
 
-_TERMS_END = _TERMS + N_TERMS
 
 _FLOAT32 = np.dtype(np.float32)
 
@@ -345,6 +344,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
         self._shape = (episodes.width,)
         self._action = episodes.actions[1, 0]
         self._progress = episodes.memory[0, : record_size(TASK)]
+        self._terms = [(name, _TERMS + k) for k, name in enumerate(self.task.terms)]
         self._time = self.simulation.t
         self._started = False
 
@@ -407,7 +407,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
                 f"action has shape {values.shape}; it must be {self._shape}: "
                 "see the action table of usv_gym.envs.env.USVEnv"
             )
-        self._action[:] = values
+        self._action[...] = values
         obs = np.empty(self._obs_shape, np.float32)
         if not self.episodes.step(obs, self._callbacks):
             raise UsvTwinError(
@@ -431,7 +431,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
 
     def _shown(self, obs: np.ndarray) -> np.ndarray:
         """Return what the agent sees of the full observation (1, D)."""
-        return self._selection.pick(obs)[0] if self._selection else obs[0]
+        return (self._selection.pick(obs) if self._selection else obs).ravel()
 
     def _show(self) -> None:
         if self.renderer and not self.renderer.waits:
@@ -444,7 +444,7 @@ class USVEnv(BoatsAtSea, gym.Env[np.ndarray, np.ndarray]):
             "leg": int(progress[_LEG]),
             "is_success": progress[_SUCCESS] != 0.0,
             "capsized": progress[_CAPSIZED] != 0.0,
-            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=False)),
+            "reward_terms": {name: progress[at] for name, at in self._terms},
         }
         if self.observer:
             info |= self.observer.first_infos()
