@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bisect
 from typing import NamedTuple
 
 from twin.integrity.monitor import SensorMonitor, SensorStatus
@@ -59,9 +58,8 @@ class HealthHistory:
 
     def at(self, t: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor at a time, s; empty before the first row."""
-        changes = list(self._changes)
-        row = bisect.bisect_right(changes, t, key=lambda change: change.t)
-        return changes[row - 1].statuses if row else {}
+        # a copy: others may look on while rows come
+        return next((one.statuses for one in self._changes[::-1] if one.t <= t), {})
 
     def lines(self) -> tuple[str, ...]:
         """Return a line for each stretch in which a sensor was not ok, the earliest first.
