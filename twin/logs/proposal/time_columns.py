@@ -21,6 +21,7 @@ from twin.logs.dates import (
     ahead_of_utc,
     date_formats,
     dates,
+    has_time,
     in_utc,
     is_day,
     is_time_of_day,
@@ -137,12 +138,13 @@ def _clocks(
         if (name in named or name not in numbers or _WHOLE_DAY.fullmatch(first[name]))
         and is_day(first[name])
     ]
-    whole = [
-        n for n in left if n not in numbers and ":" in first[n] and not is_time_of_day(first[n])
-    ]
+    whole = [n for n in left if n not in numbers and has_time(first[n]) and n not in days]
+    whole = [name for name in whole if not is_time_of_day(first[name])]
     whole += [n for n in left if n not in numbers and re.match(r"\d{8}[ T_-]\d{6}", first[n])]
     whole += [n for n in named if n in numbers and re.match(r"(19|20)\d{12}(\.|$)", first[n])]
     times = [n for n in left if n not in numbers and is_time_of_day(first[n])]
+    # 08.03.10 may be both, and a day changes at midnight alone
+    times = [n for n in times if n not in days or len({*text[n]}) > 2]
     times += [n for n in named if n in numbers and n not in days and _is_hhmmss(numbers[n])]
     whole.sort(key=lambda name: name not in named)
     times.sort(key=lambda name: name not in named)
