@@ -308,9 +308,8 @@ class TrustMeter:
         self.bound = position_bound(self.particulars)
         self.prior = twin.estimate()  # parameters before the first row
         self._navigator = Navigator(self.particulars)
-        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(
-            float
-        )  # s, by sensor and status
+        # s, by sensor and status
+        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(float)
         try:
             self._reference: Reference | None = Reference(measured_truth(log)[0])
         except BenchmarkError:

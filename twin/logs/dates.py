@@ -29,7 +29,6 @@ __all__ = [
     "ahead_of_utc",
     "date_formats",
     "dates",
-    "has_time",
     "in_utc",
     "is_day",
     "is_time_of_day",
@@ -56,13 +55,8 @@ ZONES = {
 
 MEANINGS = {
     **{"AST": ("-04:00", "+03:00"), "BST": ("+01:00", "+06:00"), "CDT": ("-05:00", "-04:00")},
-    **{
-        "CST": ("-06:00", "+08:00"),
-        "EDT": ("-04:00", "+11:00"),
-        "EST": ("-05:00", "+10:00"),
-        "IST": ("+05:30", "+01:00"),
-    },
-    **{"MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
+    **{"CST": ("-06:00", "+08:00"), "EDT": ("-04:00", "+11:00"), "EST": ("-05:00", "+10:00")},
+    **{"IST": ("+05:30", "+01:00"), "MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
 }
 """What names of several zones mean most often."""
 
@@ -560,11 +554,6 @@ def _month(name: str) -> int:
 def is_day(text: str) -> bool:
     """Return whether a text is a date without a time."""
     return bool(re.fullmatch(r"\d{8}|\d{6}", text) or (text and _days(text)))
-
-
-def has_time(text: str) -> bool:
-    """Return whether a text may hold a time of day."""
-    return ":" in text or _CLOCK.search(text) is not None
 
 
 def is_time_of_day(text: str) -> bool:

@@ -164,11 +164,8 @@ def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
     values = known(columns.numbers[name])
     most, full = float(np.abs(values).max(initial=0.0)), ""
     if is_pulses(values):
-        full, more, why = (
-            "2000 us",
-            "scale = 0.001, offset = -1.5",
-            "pulse width, 1500 us: midships",
-        )
+        full, more = "2000 us", "scale = 0.001, offset = -1.5"
+        why = "pulse width, 1500 us: midships"
     elif unit_of(name, ("percent",)):
         full, more = ("100", "scale = 0.005") if most > 1.0 else ("1", "scale = 0.5")
         why = "a share of full helm; above 0 must turn to starboard"

@@ -36,8 +36,9 @@ SIDES = {
 SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
     r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|toeren|"
-    r"giri|rotaca?o|rotacoes|revoluciones|varvtal|varv|omdrejninger|obroty|silnik|sruba|manetka|propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|"
-    r"accelerateur|acceleratore|gass|schub"
+    r"giri|rotacao|rotacoes|revoluciones|varvtal|varv|omdrejninger|obroty|silnik|sruba|manetka|"
+    r"propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|accelerateur|"
+    r"acceleratore|gass|schub"
 )
 
 STEER = (
@@ -58,9 +59,8 @@ PULSE = r"pwm|servo"
 
 OVER_GROUND = r"fond|fondo|fundo|grund|grunn|grond|ground|dnem"
 AT_THE_COMPASS = (
-    r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompas\w*|"
-    r"steuerkurs|compas|bussola|brujula|aguja|agulha|voorliggende?|prua|proa|"
-    r"styrekurs|styrd|rzeczywisty"
+    r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompas\w*|steuerkurs|compas|bussola|brujula|"
+    r"aguja|agulha|voorliggende?|prua|proa|styrekurs|styrd|rzeczywisty"
 )
 """Words that make a course of a direction, and a heading."""
 
