@@ -15,10 +15,7 @@ from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.summary import scope_of
 from twin.benchmark.verdict.tables import IDEAL, best_text, is_best, number
 
-__all__ = [
-    "csv_text",
-    "latex_text",
-]
+__all__ = ["csv_text", "latex_text"]
 
 Row = Mapping[str, Any]
 
