@@ -146,7 +146,7 @@ class Twin:
         self.monitor = SensorMonitor(self.twins.rows[0, HEALTH])
         self.health_history = HealthHistory(self.monitor)
         self.datum: Datum | None = None
-        self._noted = math.nan
+        self._noted: Any = None
         self.attach(self.twins)
 
     def attach(self, twins: Twins) -> None:
@@ -203,7 +203,7 @@ class Twin:
         """Return to the state before the first row."""
         self.twins.reset(0)
         self.health_history.reset()
-        self._noted = math.nan
+        self._noted = None
 
     def save(self, path: str | Path) -> None:
         """Write all that the twin knows to a file, to go on from later with :meth:`load`.
@@ -387,11 +387,10 @@ class Twin:
     def note_health(self) -> None:
         """Note which sensors, or the navigation, changed their status in the row just taken."""
         self._tell_time()
-        # troubles of roll, pitch, heave and navigation are no part of that number
-        others = self.motion.active or math.isfinite(self._lost_at)
-        statuses = self.monitor.all_statuses
-        if others or statuses != self._noted:
-            self._noted = statuses
+        lost = self.t < self._lost_at + LOST_SHOWN
+        noted = self.monitor.all_statuses, lost, self.motion.lasting()
+        if noted != self._noted:
+            self._noted = noted
             troubles = self._others(self.motion.lasting_troubles())
             self.health_history.take(self.t, self.begun, troubles)
 

@@ -20,11 +20,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_kernel.errors import UsvTwinError
 
-__all__ = [
-    "ContractError",
-    "check_predictor",
-    "raised",
-]
+__all__ = ["ContractError", "check_predictor", "raised"]
 
 ORIGINS = (300, 500)
 """Numbers of rows after which the twin forecasts: 15 and 25 s at 20 Hz."""

@@ -13,12 +13,9 @@ from twin import files
 from twin.benchmark.metrics import BASELINE, ORACLE, grouped
 from twin.benchmark.motion_scores import MOTION_METRICS, MOTION_UNITS
 from twin.benchmark.verdict.summary import scope_of
-from twin.benchmark.verdict.tables import best_text, is_best, number
+from twin.benchmark.verdict.tables import IDEAL, best_text, is_best, number
 
-__all__ = [
-    "csv_text",
-    "latex_text",
-]
+__all__ = ["csv_text", "latex_text"]
 
 Row = Mapping[str, Any]
 
@@ -63,18 +60,20 @@ several scenarios or cases have their names parted by |."""
 
 
 def _recorded(results: Row) -> list[dict[str, Any]]:
-    """Return the ratios to persistence of the recorded runs, as rows like those of the summary."""
+    """Return the ratios to persistence of the recorded runs, as rows like those of the summary.
+
+    Without persistence they are the errors themselves.
+    """
     return [
         {
             **{key: row[key] for key in ("fault", "plan", "predictor", "runs")},
-            **{"scenario": row["folder"], "case": row["fault"]},
-            "metric": f"rmse_{row['channel']}_10s_over_{BASELINE}",
-            "of": f"rmse_{row['channel']}_10s",
-            **{key: row[key] for key in ("low", "high")},
-            "value": row["ratio"],
+            **{"scenario": row["folder"], "case": row["fault"], "of": f"rmse_{row['channel']}_10s"},
+            "metric": f"rmse_{row['channel']}_10s" + f"_over_{BASELINE}" * ("ratio" in row),
+            "unit": "" if "ratio" in row else UNITS[f"{row['channel']}_10s"],
+            **{key: row.get(key) for key in ("low", "high")},
+            "value": row.get("ratio", row.get("rmse")),
         }
         for row in results.get("recorded") or []
-        if row.get("ratio") is not None
     ]
 
 
@@ -188,8 +187,8 @@ def latex_text(results: Row) -> str:
     """Return LaTeX tables: the verdict, each run and case, paired tests, folders of recorded runs.
 
     They need the packages ``booktabs`` and ``graphicx``; what is wider than the text is scaled to
-    it. Below each mean stands its 95 % interval over seeds; the best value of a column is bold, the
-    oracle left out.
+    it. Below each mean stands its 95 % interval over runs, if there are enough; the best value of a
+    column is bold, the oracle left out. The captions say so.
 
     Parameters
     ----------
@@ -210,12 +209,9 @@ def latex_text(results: Row) -> str:
     ]
     if verdict:
         of = next(row for row in results["verdict"] if row["loss"] == "all")
-        known = any(row["low"] is not None for row in verdict)
-        over = "with 95\\,\\% intervals over boats, "
         caption = (
             f"All scenarios ({_escaped(scope_of(of))}): mean errors of position and heading after "
-            "10\\,s, their ratio to those of persistence, pooled MAE and MSE, "
-            f"{over if known else ''}best in bold."
+            "10\\,s, their ratio to those of persistence, pooled MAE and MSE."
         )
         heads = {
             row["metric"]: (row["head"] + LOSSES[row["loss"]], row["factor"]) for row in verdict
@@ -226,11 +222,10 @@ def latex_text(results: Row) -> str:
     for (scenario, case, plan), rows in grouped(summary, *CELL).items():
         runs = max(count[scenario, case, plan, row["predictor"]] for row in rows)
         over = f"mean over {runs} seeds" if runs > 1 else "one run"
-        has = "each with its 95\\,\\% interval; " if any(r["low"] is not None for r in rows) else ""
         loss = "" if case == "none" else f", case {_escaped(case)}"
         caption = (
             f"{_escaped(scenario)}{loss}, {_planned(plan)}: errors of position "
-            f"and heading after 10\\,s, pooled MAE and MSE, {over}, {has}best in bold."
+            f"and heading after 10\\,s, pooled MAE and MSE, {over}."
         )
         names = {row["predictor"] for row in rows}
         if ORACLE in names:
@@ -241,8 +236,8 @@ def latex_text(results: Row) -> str:
         against = rows[0]["against"]
         caption = (
             f"{_escaped(scenario)}, case {_escaped(case)}, {_planned(plan)}: change of the error "
-            f"against {_escaped(against)} on the same runs, with its 95\\,\\% interval, below 0 is "
-            "better, and the share of runs in which it is smaller."
+            f"against {_escaped(against)} on the same runs, below 0 is better, and the share of "
+            "runs in which it is smaller."
         )
         heads = {row["metric"]: (rf"{_noun(row)}, {row['kind']} (\%)", 1.0) for row in rows}
         tables.append(_latex_table(rows, heads, caption, f"{scenario}-{case}-{plan}-paired"))
@@ -251,12 +246,17 @@ def latex_text(results: Row) -> str:
     ).items():
         runs = max(row["runs"] for row in rows)
         loss = "" if fault == "none" else f", loss {_escaped(fault)}"
+        over = " over that of persistence" * any(row["metric"] != row["of"] for row in rows)
         caption = (
             f"Recorded runs of {_escaped(folder)}{loss}, {_planned(plan)}: RMSE "
-            f"after 10\\,s over that of persistence, mean over {runs} "
-            f"run{'s' if runs > 1 else ''}, best in bold."
+            f"after 10\\,s{over}, mean over {runs} run{'s' if runs > 1 else ''}."
         )
-        heads = {row["metric"]: (_noun(row), 1.0) for row in rows}
+        heads = {
+            row["metric"]: (_noun(row), 1.0)
+            if row["metric"] != row["of"]
+            else COLUMNS[row["of"].removeprefix("rmse_")]
+            for row in rows
+        }
         tables.append(_latex_table(rows, heads, caption, f"{folder}-{fault}-{plan}"))
     return "\n".join(tables)
 
@@ -264,7 +264,7 @@ def latex_text(results: Row) -> str:
 def _latex_table(
     rows: Sequence[Row], metrics: Mapping[str, tuple[str, float]], caption: str, label: str
 ) -> str:
-    """Return one LaTeX table with a line for each predictor."""
+    """Return one LaTeX table with a line for each predictor; the caption gets what marks mean."""
     by_metric = grouped(rows, "metric")
     best = {
         m: best_text(by_metric[m,][0].get("score", m), by_metric[m,], factor)
@@ -294,6 +294,11 @@ def _latex_table(
             lines.append(rf" & {' & '.join(intervals)} \\")
     heads = " & ".join(head for head, _factor in metrics.values())
     body = "\n".join(lines)
+    if "textbf" in body:
+        nearest = f", of coverage what is nearest to {100.0 * IDEAL['coverage90']:g}\\,\\%"
+        caption += f" Best in bold{nearest if best.get('coverage90') else ''}."
+    if "scriptsize" in body:
+        caption += " In brackets: 95\\,\\% intervals over runs."
     return (
         "\\begin{table}\n\\centering\n\\footnotesize\n\\setlength{\\tabcolsep}{3pt}\n"
         # article has no space below a caption

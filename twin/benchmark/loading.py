@@ -21,14 +21,7 @@ from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, time_to_know
 from usv_gym.world.faults import REPORTED, Disturbance, apply_faults, parse_faults
 from usv_gym.world.sensors import SensorSuite
 
-__all__ = [
-    "Run",
-    "fault_start",
-    "load_run",
-    "measured_truth",
-    "recorded_identify_s",
-    "with_faults",
-]
+__all__ = ["Run", "fault_start", "load_run", "measured_truth", "recorded_identify_s", "with_faults"]
 
 
 MISSION_TIME = 90.0

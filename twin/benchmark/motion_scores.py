@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from twin.benchmark.protocol import UNIT_KEY
 from twin.benchmark.scores import crps
@@ -115,6 +114,8 @@ def auc(score: Array, happened: NDArray[np.bool_]) -> float:
 
     ``score`` and ``happened`` have shape (n,); NaN where all or none happened.
     """
+    from scipy.stats import rankdata  # takes half a second
+
     yes, no = int(happened.sum()), int((~happened).sum())
     if not yes or not no:
         return math.nan

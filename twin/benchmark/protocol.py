@@ -17,13 +17,7 @@ import numpy as np
 
 from twin.digital_twin import PLANS
 from twin.particulars import ParticularsError
-from twin.predictors.registry import (
-    EXTRAS,
-    PREDICTORS,
-    PredictorError,
-    base_name,
-    predictor_class,
-)
+from twin.predictors.registry import EXTRAS, PREDICTORS, PredictorError, base_name, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.design.seaway import warning_of
@@ -200,10 +194,7 @@ class Settings:
         components = ROLLING_COMPONENTS if self.dof == 6 else sea.components
         if not self.schedule or name in SEA_STATES:
             sea = sea.turned(math.radians(self.wind_from_deg))
-        return sea.replace(
-            spreading=self.spreading,
-            components=components,
-        )
+        return sea.replace(spreading=self.spreading, components=components)
 
     def boat(self, seed: int) -> Vessel:
         """Return the boat of a seed."""

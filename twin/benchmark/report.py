@@ -28,9 +28,7 @@ from usv_kernel.files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "write_report",
-]
+__all__ = ["write_report"]
 
 Row = Mapping[str, Any]
 

@@ -61,13 +61,7 @@ from usv_kernel import __version__
 from usv_kernel.cache import running_program
 from usv_kernel.errors import UsvTwinError
 
-__all__ = [
-    "AGAINST",
-    "collect",
-    "run_figures",
-    "run_unit",
-    "runs",
-]
+__all__ = ["AGAINST", "collect", "run_figures", "run_unit", "runs"]
 
 Array = NDArray[np.float64]
 

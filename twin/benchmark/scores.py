@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from twin.benchmark.protocol import HORIZONS, BenchmarkError
 from twin.logs.log import Log
@@ -61,6 +60,8 @@ def crps(error: Array, down: Array, up: Array) -> Array:
     Source: CRPS = E|X - y| - E|X - X'| / 2, Gneiting and Raftery 2007. Equal to
     ``scoringrules.crps_2pnormal``, whose import compiles for seconds in every worker.
     """
+    from scipy.special import erf  # takes a quarter of a second
+
     near = np.maximum(np.where(error < 0.0, down, up), 1e-12)
     far = np.maximum(np.where(error < 0.0, up, down), 1e-12)
     total, size = near + far, np.abs(error)

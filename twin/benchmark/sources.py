@@ -16,10 +16,7 @@ from pathlib import Path
 from twin.predictors.base import Predictor
 from twin.predictors.registry import EXTRAS, PredictorError, predictor_class
 
-__all__ = [
-    "predictor_digest",
-    "versions",
-]
+__all__ = ["predictor_digest", "versions"]
 
 PACKAGES = ("usv_kernel", "usv_gym", "twin")
 """Those of this program, which :func:`usv_kernel.cache.running_program` covers."""

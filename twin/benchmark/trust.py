@@ -24,6 +24,7 @@ from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin, known_plan
 from twin.filters.navigator import Navigator
 from twin.integrity.findings import ERROR, WARNING, Finding
+from twin.integrity.monitor import SensorStatus
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
 from twin.model.structure import ENVIRONMENT
@@ -307,9 +308,8 @@ class TrustMeter:
         self.bound = position_bound(self.particulars)
         self.prior = twin.estimate()  # parameters before the first row
         self._navigator = Navigator(self.particulars)
-        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(
-            float
-        )  # s, by sensor and status
+        # s, by sensor and status
+        self._seconds_in: defaultdict[tuple[str, str], float] = defaultdict(float)
         try:
             self._reference: Reference | None = Reference(measured_truth(log)[0])
         except BenchmarkError:
@@ -323,6 +323,8 @@ class TrustMeter:
         starts = np.linspace(max(self._next, first + 0.5 * span), last - self._loss_length, LOSSES)
         self._loss_starts = starts.tolist() if self._loss_length >= LOSS_MIN_S else []
         self._row = 0
+        self._statuses: Mapping[str, SensorStatus] | None = None
+        self._doubted: dict[str, str] = {}  # status of each sensor that is not ok, of these
         # stretches whose fixes the twin left out, s, and when it last did not doubt them
         self._excluded: list[list[float]] = []
         self._undoubted = first
@@ -337,16 +339,23 @@ class TrustMeter:
         t = float(log.t[row])
         step = t - float(log.t[row - 1]) if row else 0.0
         self._navigator.update(step, log.z[row])
-        for sensor, now in self.twin.health_history.at(t).items():
-            if now.status in ("doubtful", "excluded"):
-                self._seconds_in[sensor, now.status] += step
-            if sensor == "gps" and now.status == "excluded":
-                if not self._excluded or self._excluded[-1][1] <= self._undoubted:
-                    # to doubt fixes took samples, too: about as many as to exclude them
-                    self._excluded.append([2.0 * self._undoubted - t, t])
-                self._excluded[-1][1] = t
-            elif sensor == "gps" and now.status != "doubtful":
-                self._undoubted = t
+        statuses = self.twin.health_history.at(t)
+        if statuses is not self._statuses:
+            self._statuses = statuses
+            self._doubted = {
+                sensor: now.status
+                for sensor, now in statuses.items()
+                if now.status in ("doubtful", "excluded")
+            }
+        for key in self._doubted.items():
+            self._seconds_in[key] += step
+        if "gps" not in self._doubted:
+            self._undoubted = t
+        elif self._doubted["gps"] == "excluded":
+            if not self._excluded or self._excluded[-1][1] <= self._undoubted:
+                # to doubt fixes took samples, too: about as many as to exclude them
+                self._excluded.append([2.0 * self._undoubted - t, t])
+            self._excluded[-1][1] = t
         self._tilt.take(t)
         if self._reference is None:
             return

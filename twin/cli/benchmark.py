@@ -86,8 +86,7 @@ def benchmark_command(
         ),
     ] = None,
     scenarios: Annotated[
-        str | None,
-        typer.Option(help=f"Comma-separated, of: {', '.join(SCENARIOS)}. [turn,zigzag]"),
+        str | None, typer.Option(help=f"Comma-separated, of: {', '.join(SCENARIOS)}. [turn,zigzag]")
     ] = None,
     faults: Annotated[
         str | None, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}. [none,gps10]")

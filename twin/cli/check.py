@@ -158,12 +158,18 @@ def _seen_from(path: Path, file: Path) -> str:
     return re.sub(r"""(?m)^(\s*prior\s*=\s*)(["'])(.*?)\2""", moved, text)
 
 
+def _alike(one: object, other: float) -> bool:
+    """Return whether something is a number that is another one to two digits."""
+    return isinstance(one, (int, float)) and f"{one:.2g}" == f"{other:.2g}"
+
+
 def _write(path: Path, checks: Sequence[LogCheck], boats: Mapping[Path, Particulars]) -> list[str]:
     """Write the particulars of a boat as its logs show them, and return the keys still to fill in.
 
     What is of no log stays: of the files of ``boats``, and of the one that is replaced.
     """
     text, kept = checks[0].particulars_text(checks[1:]), ""
+    of_log = tomllib.loads(text)["particulars"]
     sources = {
         str(file) if file.exists() else boat.name: _seen_from(path, file)
         if _are_particulars(file)
@@ -187,4 +193,12 @@ def _write(path: Path, checks: Sequence[LogCheck], boats: Mapping[Path, Particul
         kept += f"; kept of {file}: {found}"
     write_text(path, text)
     console.print(f"particulars: {path}{kept}", soft_wrap=True)
+    written, pair = tomllib.loads(text)["particulars"], ("speed", "shaft_speed")
+    own = [key for key in pair if not _alike(written[key], of_log[key])]
+    if len(own) == 1:
+        together = " goes with ".join(f"{key} = {of_log[key]:g}" for key in pair)
+        note(
+            f"{own[0]} = {written[own[0]]} was kept, but in the log {together}: write both as they "
+            "are at the same time"
+        )
     return re.findall(r"(?m)^# (\w+) = \?", text)

@@ -93,12 +93,7 @@ def identify_command(
     runs, said = [], set[str]()
     for path in logs:
         log, twin = twin_for_log(
-            path,
-            predictor,
-            ship=ship,
-            mapping=mapping,
-            until=until,
-            own_prior=not together,
+            path, predictor, ship=ship, mapping=mapping, until=until, own_prior=not together
         )
         print_notes(log.notes, said)
         console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m")

@@ -101,7 +101,7 @@ increment, the drift that is subtracted from it, and the threshold of the sum.""
 EVIDENCE_ALARM = 12.5
 LAGS_S = (2.0, 6.0, 14.0)
 """Twice the log-likelihood ratio above which thrust or current have changed, and the times before
-the last segment at which a change is tested."""
+the last segment at which a change is tested, rising."""
 
 _NAMES = {
     PRIOR: "the prior, as no refit forecasts better",
@@ -277,9 +277,10 @@ def _test_for_change(newest, state, segments, config, model, work):
         return
     samples, first, surprise = samples_of(config), newest - config.steps, state.surprise
     enough = EVIDENCE_ALARM if surprise[0] < CUSUM_ALARM else 0.0
+    earliest = first - _LAG_ROWS[_LAG_ROWS.shape[0] - 1]
+    quadratics_by_changes(earliest, segments.params, segments, config, model, work.change)
     for k in range(_LAG_ROWS.shape[0]):
         since = first - _LAG_ROWS[k]
-        quadratics_by_changes(since, segments.params, segments, config, model, work.change)
         if change_evidence(since, samples, segments, config, work.change) > enough:
             _begin_after(since, first, state, segments, config, model, work)
             return

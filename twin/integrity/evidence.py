@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import nnls
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.integrity.rows import ANGLES, FIX, FORCES, GYROS, SAMPLES_MIN, SENSORS, SIZE_MAX, VELOCITY
@@ -420,6 +419,8 @@ def _explained(change: Array, own: list[Array], commands: list[Array]) -> tuple[
     More of a command makes more of the motion: no effect is below 0. The first number is the
     log-likelihood by which commands of either sign explain the change.
     """
+    from scipy.optimize import nnls  # takes half a second
+
     ok = np.isfinite(np.array([change, *own, *commands])).all(axis=0)
     if ok.sum() < ENOUGH:
         return 0.0, (change[:0], change[:0])

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import bisect
 from typing import NamedTuple
 
 from twin.integrity.monitor import SensorMonitor, SensorStatus
-from twin.integrity.state import INTEGRITY, SENSORS, STATUS
-from usv_kernel.records import field_at, record_size
+from twin.integrity.state import SENSORS
 
 __all__ = ["HealthHistory"]
 
 CHANGES_KEPT = 1000
 """Number of changes that are kept, the last ones."""
-
-_FIRST = field_at(INTEGRITY, "sensors") + field_at(STATUS, "status")
-_STATUS = slice(_FIRST, _FIRST + len(SENSORS) * record_size(STATUS), record_size(STATUS))
 
 
 class _Change(NamedTuple):
@@ -41,7 +36,7 @@ class HealthHistory:
     def reset(self) -> None:
         """Forget everything."""
         self._changes: list[_Change] = []
-        self._last: tuple[bytes, tuple[tuple[str, str], ...]] = b"", ()
+        self._last: dict[str, str] = {}
 
     def take(self, t: float, begin: float, others: dict[str, SensorStatus]) -> None:
         """Note what changed in the row of time t; the first row was at ``begin``, s.
@@ -49,19 +44,17 @@ class HealthHistory:
         ``others`` have the status of what is no sensor of the checks: the navigation, and those
         channels of roll, pitch, heave and wind that are silent or in doubt now.
         """
-        # bytes: this runs in every row
-        names = tuple((name, other.status) for name, other in others.items())
-        status = self._monitor.memory[_STATUS].tobytes(), names
+        statuses = self._monitor.statuses(begin) | others
+        status = {name: one.status for name, one in statuses.items()}
         if status != self._last:
             self._last = status
-            self._changes.append(_Change(t, self._monitor.statuses(begin) | others))
+            self._changes.append(_Change(t, statuses))
             del self._changes[:-CHANGES_KEPT]
 
     def at(self, t: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor at a time, s; empty before the first row."""
-        changes = list(self._changes)
-        row = bisect.bisect_right(changes, t, key=lambda change: change.t)
-        return changes[row - 1].statuses if row else {}
+        # a copy: others may look on while rows come
+        return next((one.statuses for one in self._changes[::-1] if one.t <= t), {})
 
     def lines(self) -> tuple[str, ...]:
         """Return a line for each stretch in which a sensor was not ok, the earliest first.

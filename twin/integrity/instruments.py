@@ -201,7 +201,10 @@ def particulars_text(
     boats = [typical_boat(each, instruments) for each in recordings]
     boat, names = max(boats, key=lambda one: one.speed), ", ".join(each.name for each in recordings)
     steering = "drives" if any(one.steering == "drives" for one in boats) else boat.steering
-    seen = {"speed": f"upper quartile of {boat.name}", "shaft_speed": "at that speed and above"}
+    seen = {
+        "speed": f"upper quartile of {boat.name}",
+        "shaft_speed": f"at {boat.speed:g} m/s and above",
+    }
     reasons = reasons | seen | {"steering": "by the angles in the log"}
     boat = dataclasses.replace(boat, name=boats[0].name, steering=steering)
     lines = []

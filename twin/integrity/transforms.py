@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
 
 from twin.channels import COMMANDS
 from twin.integrity.evidence import (
@@ -368,6 +367,7 @@ def _explains(before: Evidence, after: Evidence) -> bool:
 
 def _try(s: Signals, base: Evidence, each: Hypothesis) -> Trial:
     """Return the trial of a hypothesis at the size of the highest score."""
+    from scipy.optimize import minimize_scalar  # takes half a second
 
     def at(size: float) -> tuple[float, Signals, Evidence]:
         changed = each.undo(s, size)

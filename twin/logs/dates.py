@@ -55,13 +55,8 @@ ZONES = {
 
 MEANINGS = {
     **{"AST": ("-04:00", "+03:00"), "BST": ("+01:00", "+06:00"), "CDT": ("-05:00", "-04:00")},
-    **{
-        "CST": ("-06:00", "+08:00"),
-        "EDT": ("-04:00", "+11:00"),
-        "EST": ("-05:00", "+10:00"),
-        "IST": ("+05:30", "+01:00"),
-    },
-    **{"MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
+    **{"CST": ("-06:00", "+08:00"), "EDT": ("-04:00", "+11:00"), "EST": ("-05:00", "+10:00")},
+    **{"IST": ("+05:30", "+01:00"), "MST": ("-07:00", "+08:00"), "PST": ("-08:00", "+08:00")},
 }
 """What names of several zones mean most often."""
 
@@ -162,7 +157,9 @@ def second_hours(stamps: Array, zone: str) -> tuple[Array, bool]:
 
 
 _CLOCK = re.compile(
-    r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?P<second>:\d{2})?(?P<part>[.,:]\d+)?"
+    # points stand for colons where there are seconds
+    r"(?<!\d)(?P<hour>\d{1,2})(?P<mark>:|\.(?=\d\d\.\d\d(?!\d)))(?P<minute>\d{2})"
+    r"(?P<second>(?P=mark)\d{2})?(?P<part>[.,:]\d+)?"
     r"(?:\s*(?P<half>[AaPp]\.?[Mm]\.?))?(?P<gap>\s*)"
     r"(?P<zone>Z|\(?(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?\)?|\(?[A-Z]{2,5}\)?|"
     r"[A-Z][a-z]+/[A-Za-z_/]+)?$"
@@ -250,7 +247,7 @@ def padded(text: str) -> str:
     return whole.zfill(6) + point + part
 
 
-_FRACTION = re.compile(r"((?::|[ T]\d{4})\d{1,2}|^\s*\d+(?=\.\d+\s*$))\.(\d+)", re.ASCII)
+_FRACTION = re.compile(r"((?::|\.\d\d\.|[ T]\d{4})\d{1,2}|^\s*\d+(?=\.\d+\s*$))\.(\d+)", re.ASCII)
 """The fraction of a second, behind seconds or a whole number."""
 
 
@@ -490,11 +487,12 @@ def _candidates(text: str) -> list[DateFormat]:
     if match is not None:
         day = text[: match.start()].rstrip(" T,")
         gap = text[len(day) : match.start()]
-        clock = gap + ("%I" if match["half"] else "%H") + ":%M"
+        mark = match["mark"]
+        clock = gap + ("%I" if match["half"] else "%H") + f"{mark}%M"
         part = match["part"] or "."
         if part[0] != "." and len(part) not in (4, 7, 10):
             return []
-        clock += ":%S" + ("%.f" if part[0] == "." else f"{part[0]}%{len(part) - 1}f")
+        clock += f"{mark}%S" + ("%.f" if part[0] == "." else f"{part[0]}%{len(part) - 1}f")
         if not match["second"]:
             if match["part"]:
                 return []

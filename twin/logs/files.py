@@ -226,21 +226,22 @@ class CsvFile:
 
         Missing cells are empty. Surplus ones are left out, unless every column is wanted.
         """
-        reader = _reader(text, self.mark)
-        try:
-            rows = list(reader)
-        except csv.Error as error:
-            raise LogError(
-                f"{self.source}: line {first - 1 + reader.line_num}: {error}; check the quotation "
-                "marks up to there"
-            ) from None
-        surplus = max(map(len, rows), default=0) > len(self.header)
-        if surplus and len(wanted) == len(self.header):
-            ragged = ragged_line(text, first, len(self.header), self.mark)
-            raise LogError(f"{self.source}: {ragged}")
-        missing = [""] * len(self.header)
-        rows = [row if len(row) >= len(missing) else row + missing[len(row) :] for row in rows]
-        columns = [[row[j] for row in rows] for j in wanted]
+        width = len(self.header)
+        if not (cells := _plain_cells(text, self.mark, width)):
+            reader = _reader(text, self.mark)
+            try:
+                rows = list(reader)
+            except csv.Error as error:
+                raise LogError(
+                    f"{self.source}: line {first - 1 + reader.line_num}: {error}; check the "
+                    "quotation marks up to there"
+                ) from None
+            if len(wanted) == width and max(map(len, rows), default=0) > width:
+                ragged = ragged_line(text, first, width, self.mark)
+                raise LogError(f"{self.source}: {ragged}")
+            whole = [row[:width] + [""] * (width - len(row)) for row in rows]
+            cells = [cell for row in whole for cell in row]
+        columns = [cells[j::width] for j in wanted]
         return columns if self.mark == "," else [with_points(column) for column in columns]
 
     def texts(self, rows: int) -> dict[str, list[str]]:
@@ -258,10 +259,24 @@ class CsvFile:
         return dict(zip(names, self._cells(b"".join(lines), self.first, wanted), strict=True))
 
 
+def _lines(text: bytes) -> str:
+    """Return lines as text; a carriage return within one counts as a space."""
+    return text.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", " ")
+
+
 def _reader(text: bytes, mark: str) -> Any:
-    """Return a reader of lines; a carriage return within one counts as a space."""
-    lines = text.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", " ")
-    return csv.reader(io.StringIO(lines, newline="\n"), delimiter=mark, strict=True)
+    """Return a reader of lines."""
+    return csv.reader(io.StringIO(_lines(text), newline="\n"), delimiter=mark, strict=True)
+
+
+def _plain_cells(text: bytes, mark: str, width: int) -> list[str]:
+    """Return the cells of lines, one line after the other.
+
+    None where one has quotes or another number of cells: that takes a reader.
+    """
+    lines = _lines(text).removesuffix("\n").split("\n")
+    plain = text and b'"' not in text and all(line.count(mark) == width - 1 for line in lines)
+    return mark.join(lines).split(mark) if plain else []
 
 
 def twice_said(source: str | Path, name: str, place: str) -> str:

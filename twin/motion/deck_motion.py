@@ -434,27 +434,32 @@ class DeckMotion:
         """Return the same of channels in trouble for longer than :data:`NOTE_AFTER_S`."""
         return self._suspected(NOTE_AFTER_S) if self.active else {}
 
+    def lasting(self) -> tuple[list[int], list[int]]:
+        """Return numbers of what :meth:`lasting_troubles` names: this is fast."""
+        return self._beyond(NOTE_AFTER_S) if self.active else ([], [])
+
     def _suspected(self, beyond: float) -> dict[str, tuple[str, float, str]]:
         """Return status, age and reason of channels silent or in doubt for so long, s."""
-        found = {name: ("excluded", *pair) for name, pair in self._silent(beyond).items()}
-        doubted = self.memory[_SUSPECT_AT : _SUSPECT_AT + 4]
-        for k in np.flatnonzero(doubted > beyond) if doubted.any() else ():
+        found, (silent, doubted) = {}, self._beyond(beyond)
+        for k in silent:
+            name, age = _AXES[k], self.memory.item(_AGES[k])
+            found[name] = "excluded", age, _SILENT.format(name, age)
+        for k in doubted:
             name, other = _TILT_SENSORS[k // 2] if k % 2 == 0 else _TILT_SENSORS[k // 2][::-1]
-            why = f"{name} contradicts {other} and gravity"
-            found.setdefault(name, ("excluded" if k % 2 else "doubtful", float(doubted[k]), why))
+            why, age = f"{name} contradicts {other} and gravity", self.memory.item(_SUSPECT_AT + k)
+            found.setdefault(name, ("excluded" if k % 2 else "doubtful", age, why))
         return found
 
-    def _silent(self, beyond: float) -> dict[str, tuple[float, str]]:
-        """Return age and reason of each channel without a new sample for so long, s."""
-        ages, last = self.memory[_AGES], self.memory[_LAST]
-        late = (ages > beyond) & (ages < NO_SAMPLE_AGE_S)
-        if not late.any():  # this runs in every row
-            return {}
-        late &= np.isfinite(last)
-        return {
-            _AXES[k]: (float(ages[k]), _SILENT.format(_AXES[k], ages[k]))
-            for k in np.flatnonzero(late)
-        }
+    def _beyond(self, beyond: float) -> tuple[list[int], list[int]]:
+        """Return axes without a new sample, and sensors of tilt in doubt, for so long, s."""
+        late = [
+            k for k, age in enumerate(self.memory[_AGES].tolist()) if beyond < age < NO_SAMPLE_AGE_S
+        ]
+        doubted = self.memory[_SUSPECT_AT : _SUSPECT_AT + 4].tolist()
+        return (
+            [k for k in late if math.isfinite(self.memory[_LAST[k]])],
+            [k for k, age in enumerate(doubted) if age > beyond],
+        )
 
     def views(self) -> dict[str, Array]:
         """Return what is remembered, by field."""

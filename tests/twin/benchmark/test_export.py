@@ -91,6 +91,8 @@ def test_latex_has_intervals_and_the_best_in_bold():
     assert r"{\scriptsize [0.126, 0.154]}" in table
     assert "mean over 2 seeds" in table and "oracle knows the true boat" in table
     assert r"\textbf" in recorded and "over that of persistence" in recorded
+    assert r"Best in bold, of coverage what is nearest to 90\,\%. In brackets: 95\,\%" in table
+    assert "Best in bold.}" in recorded  # two runs have no interval, and no coverage
     assert text.startswith("% usv-twin 1.2, sources abc\n% usv-twin benchmark --seeds 0-2\n")
 
 
@@ -145,11 +147,24 @@ def test_csv_has_every_value_with_its_interval():
     assert found["ukf", "rmse_psi_10s_over_persistence"]["scenario"] == "lake"
 
 
+def test_folders_without_persistence_have_their_errors_themselves():
+    given = results()
+    for row in given["recorded"]:
+        row["rmse"] = row.pop("ratio")
+    table = latex_text(given).split(r"\begin{table}")[-1]
+    assert r"RMSE after 10\,s, mean over 2 runs" in table
+    assert r"predictor & heading ($^\circ$) \\" in table
+    assert rf"ukf & {math.degrees(0.1404):.2f} \\" in table
+    found = {row["predictor"]: row for row in csv.DictReader(io.StringIO(csv_text(given)))}
+    assert (found["ukf"]["metric"], found["ukf"]["unit"]) == ("rmse_psi_10s", "rad")
+    assert float(found["ukf"]["value"]) == 0.1404
+
+
 def test_one_predictor_is_never_the_best():
     given = results()
     given["summary"] = [row for row in given["summary"] if row["predictor"] in ("ukf", "oracle")]
     given["recorded"] = []
-    assert "textbf" not in latex_text(given)
+    assert "bold" not in latex_text(given)
     assert "true" not in csv_text(given)
 
 

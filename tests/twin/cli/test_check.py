@@ -106,6 +106,15 @@ def test_particulars_written_anew_keep_what_was_written_by_hand(faulty, tmp_path
     assert (boat.length, boat.mass, boat.deck.max_speed) == (6.3, 3000.0, 0.4)
     assert (boat.instruments.gyro_sd, boat.instruments.gps_arm) == (0.003, (1.0, 0.0, -2.0))
     assert boat.steering == "drives" and boat.shaft_speed > 10.0 and boat.instruments.gps_sd < 1.0
+    assert "goes with" not in out
+    path.write_text(re.sub("(?m)^speed = .*", f"speed = {2.0 * boat.speed}", path.read_text()))
+    out = run("check", faulty, *quiet, "--force", check=1).stdout
+    renewed = Particulars.load(path)
+    assert (renewed.speed, renewed.shaft_speed) == (2.0 * boat.speed, boat.shaft_speed)
+    assert (
+        f"in the log speed = {boat.speed:g} goes with" in out
+        and f"at {boat.speed:g} m/s" in path.read_text()
+    )
 
 
 def test_instruments_of_several_logs_are_written_once(folder, tmp_path):

@@ -248,7 +248,6 @@ def test_places_in_other_languages_are_known(tmp_path: Path, names: tuple[str, s
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("Steering (%)", 60.0),
         ("rudder", 12.0),
         ("rudder", 0.4),
         ("p", 2.0),
@@ -264,6 +263,28 @@ def test_a_unit_that_the_values_leave_open_is_asked(
     found = propose(write(tmp_path / "a.csv", columns))
     asked = rf"{re.escape(name)}: (deg|g or ).* taken"
     assert any(re.match(asked, text) for text in found.questions)
+
+
+@pytest.mark.parametrize("name", ["Lenkung (%)", "steering_pct", "Timone [%]", "rudder percent"])
+@pytest.mark.parametrize("full", [1.0, 100.0])
+def test_steering_in_per_cent_is_a_share_of_full_helm(
+    tmp_path: Path, name: str, full: float
+) -> None:
+    columns = boat()
+    columns[name] = full * np.sin(0.1 * columns["time_s"])
+    text, log = mapped(write(tmp_path / "a.csv", columns))
+    assert f"{name}: {full:g} is taken as 0.5 rad" in text
+    assert log.cmd[:, 2] == pytest.approx(0.5 * np.sin(0.1 * log.t), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["Ruder (gr)", "Ruder_grad", "ror (grader)", "roer [graden]", "ster (stopnie)"]
+)
+def test_small_angles_in_degrees_of_other_languages_are_degrees(tmp_path: Path, name: str) -> None:
+    columns = boat()
+    columns[name] = np.sin(0.1 * columns["time_s"])
+    _, log = mapped(write(tmp_path / "a.csv", columns))
+    assert log.cmd[:, 2] == pytest.approx(np.radians(columns[name]), abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["TWS", "TWD", "AWS", "AWA"])
@@ -491,6 +512,7 @@ def test_a_shaft_speed_that_is_not_available_is_no_command(tmp_path: Path, mark:
         ("grondkoers", "voorliggende koers", "giersnelheid"),
         ("koers over grond", "kompas", "draaisnelheid"),
         ("Rotta", "Bussola", "Velocità angolare (°/s)"),
+        ("kurs nad dnem", "kurs kompasowy", "prędkość kątowa"),
     ],
 )
 def test_course_and_heading_are_told_apart_in_five_languages(
@@ -629,6 +651,10 @@ LANGUAGES = [
     "Temps (s);Latitude;Longitude;Vitesse (nds);Route (deg);Cap (deg);Régime gauche (tr/min);x",
     "Tid;Breddegrad;Lengdegrad;Fart (knop);Kurs;Heading;Turtall babord;x",
     "time|lat|lon|speed (kn)|course|heading_deg|rpm port|x",
+    "Czas;Szerokość (°);Długość;Prędkość (w);Kurs nad dnem;Kurs kompasowy (gr);Obroty lewy;x",
+    "Ora;Latitudine;Longitudine;Velocità (nodi);Rotta;Prua (gradi);Giri/min;x",
+    "Tid;Bredde;Længde;Fart (knob);Kurs over grund;Styrekurs (grader);Omdr/min bagbord;x",
+    "Tijd;Breedte;Lengte;Snelheid (knopen);Grondkoers;Voorliggende koers;Toeren bakboord;x",
 ]
 
 

@@ -53,6 +53,18 @@ def says(log: Log, name: str, what: str) -> bool:
     return any(name in names.split(", ") and said.startswith(what) for names, _, said in notes)
 
 
+def test_cells_in_quotes_are_those_of_plain_ones(tmp_path: Path) -> None:
+    run(50).write(tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    lines[20] = ",".join(f'"{cell}"' for cell in lines[20].split(","))
+    plain, quoted = (
+        Log.read(tmp_path / "a.csv"),
+        Log.read(written(tmp_path / "b.csv", "\n".join(lines))),
+    )
+    for name in ("t", "z", "cmd"):
+        assert np.array_equal(getattr(plain, name), getattr(quoted, name), equal_nan=True)
+
+
 @pytest.mark.parametrize(
     "name", ["a.b.csv", "a.b.csv.gz", "a.b.parquet", "a.b.mcap", "a.b.db3", "a.b"]
 )

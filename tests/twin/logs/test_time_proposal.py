@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 
 from twin.cli.main import app
 from twin.integrity.log_check import check_log
-from twin.logs.dates import Midnight, date_formats, dates, past_midnight
+from twin.logs.dates import Midnight, date_formats, dates, is_time_of_day, past_midnight
 from twin.logs.errors import LogError
 from twin.logs.log import Log
 from twin.logs.proposal.propose import propose
+from twin.logs.proposal.time_columns import find_time
 
 START = datetime(2024, 4, 5, 11, 58)
 EPOCH = 1712318280.0  # of that in UTC
@@ -264,11 +265,23 @@ def test_names_of_months_that_are_not_known_are_named_with_the_way_out(tmp_path:
 
 
 @pytest.mark.parametrize("names", ["Datum,Uhrzeit", "Fecha,Hora", "Data,Ora", "日期,时间"])
-@pytest.mark.parametrize("form", ["%d.%m.%Y,%H:%M:%S.%f", "%Y%m%d,%H:%M:%S.%f"])
+@pytest.mark.parametrize(
+    "form", ["%d.%m.%Y,%H:%M:%S.%f", "%Y%m%d,%H:%M:%S.%f", "%d.%m.%y,%H.%M.%S.%f"]
+)
 def test_a_date_beside_a_time_is_one_in_any_language(tmp_path: Path, names: str, form: str) -> None:
     path = write(tmp_path / "run.csv", names, lambda t: t.strftime(form))
     log = mapped(path, "--dates", "day-first")
     assert log.datum is not None and log.datum.epoch == pytest.approx(EPOCH, abs=0.01)
+
+
+def test_points_stand_for_colons_where_there_are_seconds(tmp_path: Path) -> None:
+    text = {"a day": ["03.05.24"] * 60, "Uhr": [f"08.03.{k:02d}" for k in range(60)]}
+    found = find_time(text, {}, list(text), ("day-first", ""))
+    assert found.names == ("a day", "Uhr") and found.seconds is not None
+    assert found.seconds == pytest.approx(1714723380.0 + np.arange(60.0))
+    (one,) = date_formats(["2024-05-03 08.03.10.250"])
+    assert dates(["2024-05-03 08.03.10.250"], one.format) == [1714723390.25]
+    assert not any(map(is_time_of_day, ("08.03", "2024.05.03", "03.05.2024", "12.50 NM")))
 
 
 def test_zones_that_are_unknown_or_contradict_are_asked(tmp_path: Path) -> None:

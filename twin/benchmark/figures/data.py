@@ -13,14 +13,7 @@ from twin.logs.log import Log
 from twin.predictors.base import Prediction
 from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 
-__all__ = [
-    "Reference",
-    "RunFigure",
-    "example_times",
-    "examples_at",
-    "gps_fixes",
-    "reference_of",
-]
+__all__ = ["Reference", "RunFigure", "example_times", "examples_at", "gps_fixes", "reference_of"]
 
 Array = NDArray[np.float64]
 

@@ -33,10 +33,7 @@ LOSSES = {"none": ("without a loss", 0.95), "any": ("with a loss", 0.45)}
 LONGEST_BAR = 1e6
 """Longer bars cannot be drawn."""
 
-CHANNELS = {
-    "displacement": ("position (m)", 1.0),
-    "psi": ("heading (deg)", 180.0 / math.pi),
-}
+CHANNELS = {"displacement": ("position (m)", 1.0), "psi": ("heading (deg)", 180.0 / math.pi)}
 """Title and factor of each panel of the errors against the horizon."""
 
 Row = Mapping[str, Any]

@@ -44,11 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "panel_limits",
-    "prediction_figure",
-    "track_figure",
-]
+__all__ = ["panel_limits", "prediction_figure", "track_figure"]
 
 POINTS_MAX = 100
 """Of more GPS fixes in a panel, about so many are drawn."""

@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 from twin.benchmark.scores import ELLIPSE_90, Reference
 from twin.predictors.base import Estimate
 
-__all__ = [
-    "loss_rows",
-    "losses_to_score",
-    "score_loss_end",
-]
+__all__ = ["loss_rows", "losses_to_score", "score_loss_end"]
 
 Array = NDArray[np.float64]
 

@@ -21,10 +21,7 @@ from usv_kernel.channels import GYRO
 if TYPE_CHECKING:
     from twin.benchmark.scores import Reference
 
-__all__ = [
-    "RecordedPersistence",
-    "commands_end",
-]
+__all__ = ["RecordedPersistence", "commands_end"]
 
 Array = NDArray[np.float64]
 

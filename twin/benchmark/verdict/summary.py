@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from twin.benchmark.metrics import BASELINE, ORACLE, interval_of, resampled
 from twin.benchmark.protocol import TYPICAL, Settings
 
-__all__ = [
-    "ORACLE",
-    "best_first",
-    "recorded_blocks",
-    "scope_of",
-    "sentence_of",
-    "verdict_rows",
-]
+__all__ = ["ORACLE", "best_first", "recorded_blocks", "scope_of", "sentence_of", "verdict_rows"]
 
 Row = Mapping[str, Any]
 

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.logs.wire.feed import Feed, Message
@@ -345,6 +344,8 @@ class MavlinkWriter:
 
 def _quaternion(heading: float, tilt: tuple[float, float]) -> list[float]:
     """Return the quaternion w, x, y, z of heading, roll and pitch, rad."""
+    from scipy.spatial.transform import Rotation  # takes half a second
+
     roll, pitch = tilt
     x, y, z, w = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_quat().tolist()
     return [w, x, y, z]

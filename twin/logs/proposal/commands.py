@@ -162,15 +162,20 @@ def _shaft(target: str, name: str, columns: Columns, found: Proposal) -> None:
 
 def _steer(target: str, name: str, columns: Columns, found: Proposal) -> None:
     values = known(columns.numbers[name])
+    most, full = float(np.abs(values).max(initial=0.0)), ""
     if is_pulses(values):
-        more, why = "scale = 0.001, offset = -1.5", "pulse width, 1500 us: midships"
+        full, more = "2000 us", "scale = 0.001, offset = -1.5"
+        why = "pulse width, 1500 us: midships"
+    elif unit_of(name, ("percent",)):
+        full, more = ("100", "scale = 0.005") if most > 1.0 else ("1", "scale = 0.5")
+        why = "a share of full helm; above 0 must turn to starboard"
+    if full:
         found.questions.append(
-            f"{name}: 2000 us is taken as 0.5 rad, 29 degrees, to starboard; state the boat's own "
+            f"{name}: {full} is taken as 0.5 rad, 29 degrees, to starboard; state the boat's own "
             "angle by scale and offset"
         )
         put(columns, found, target, name, "", more, why)
         return
-    most = float(np.abs(values).max(initial=0.0))
     unit = unit_of(name, ("deg", "rad"))
     if not unit:
         unit = "deg" if most > 1.6 else "rad"

@@ -26,22 +26,25 @@ __all__ = [
 
 SIDES = {
     "left": r"left|port|ps|l|1|bb|lf|lh|backbord|babord|babor|links|gauche|sinistr[ao]|sx|"
-    r"izq|izquierd[ao]|esquerd[ao]|bombordo|bakboord|venstre|vanster",
+    r"izq|izquierd[ao]|esquerd[ao]|bombordo|bakboord|venstre|vanster|bagbord|lew[aeoy]|bakburta",
     "right": r"right|starboard|stbd|sb|r|2|rt|rh|steuerbord|tribord|estribor|rechts|droite?|"
-    r"destr[ao]|dx|der|derech[ao]|direit[ao]|boreste|estibordo|stuurboord|styrbord|hoyre|hoger",
+    r"destr[ao]|dx|der|derech[ao]|direit[ao]|boreste|estibordo|stuurboord|styrbord|hoyre|hoger|"
+    r"hojre|praw[aeoy]|sterburta",
 }
 """Words of the two sides; the last two letters or digits also end a word of a command."""
 
 SHAFT = (
     r"n|rpm|rps|shaft|motor|thrust|thruster|throttle|thr|prop|propeller|esc|engine|revs|gas|gaz|"
-    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|giri|rotacao|"
-    r"revoluciones|varvtal|propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|"
-    r"accelerateur|acceleratore|gass|schub"
+    r"drossel|gashebel|drehzahl|moteur|motore|regime|poussee|acelerador|turtall|toerental|toeren|"
+    r"giri|rotacao|rotacoes|revoluciones|varvtal|varv|omdrejninger|obroty|silnik|sruba|manetka|"
+    r"propulsor|propulseur|helice|elica|schraube|schroef|propell|manette|accelerateur|"
+    r"acceleratore|gass|schub"
 )
 
 STEER = (
     r"delta|rudder|steer|steering|str|angle|azimuth|drive|nozzle|helm|lenkung|ruder|ruderlage|"
-    r"ruderwinkel|barre|safran|gouvernail|timon|timone|roer|roerhoek|stuur|ror|rorvinkel|leme|tiller|turn"
+    r"ruderwinkel|barre|safran|gouvernail|timone?|roer|roerhoek|stuur|ror|roder|(?:ror|roder)vinkel|"
+    r"leme|tiller|turn|ster|steru"
 )
 
 SETPOINT = r"cmd|cmds|command|commands|commanded|setpoint|desired|target|demand|soll|consigne"
@@ -54,36 +57,38 @@ ROUND = r"yaw|angular|rotation|rot|yawrate|turnrate"
 PULSE = r"pwm|servo"
 """Words that say how a command is sent, not what it moves: a shaft where no other word does."""
 
-OVER_GROUND = r"fond|fondo|fundo|grund|grond|ground"
+OVER_GROUND = r"fond|fondo|fundo|grund|grunn|grond|ground|dnem"
 AT_THE_COMPASS = (
-    r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompass|"
-    r"kompasskurs|steuerkurs|kompas|compas|bussola|brujula|aguja|agulha|voorliggende|prua|proa"
+    r"heading|hdg|psi|yaw|compass|hdt|head|bearing|kompas\w*|steuerkurs|compas|bussola|brujula|"
+    r"aguja|agulha|voorliggende?|prua|proa|styrekurs|styrd|rzeczywisty"
 )
 """Words that make a course of a direction, and a heading."""
 
 NAMES = {
     "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock|"
-    r"datum|zeit|uhrzeit|zeitstempel|heure|temps|fecha|hora|tiempo|tempo|tijd|tid",
-    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|breddegrad|breedtegraad|"
-    r"breedte",
-    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine|"
-    r"lengdegrad|lengtegraad|lengte",
+    r"datum|zeit|uhrzeit|zeitstempel|zeitpunkt|heure|horodatage|temps|fecha|hora|tiempo|tempo|tijd|"
+    r"tijdstip|tid|tidspunkt|klokkeslett|data|dato|ora|orario|czas|godzina",
+    "latitude": r"lat|latitude|breite|breitengrad|latitud|latitudine|bredd|bredde|breddgrad|"
+    r"breddegrad|breedtegraad|breedte|szerokosc|szer",
+    "longitude": r"lon|lng|long|longitude|laenge|lange|langengrad|longitud|longitudine|langd|"
+    r"laengde|lengde|longitudgrad|lengdegrad|laengdegrad|lengtegraad|lengte|dlugosc|dl",
     "north": r"x|north|northing|utmn",
     "east": r"y|east|easting|utme",
     "speed": r"sog|speed|spd|velocity|groundspeed|fahrt|vitesse|velocidad|velocidade|velocita|"
-    r"geschwindigkeit|fart|vaart|snelheid",
-    "course": r"cog|course|crs|gcrs|track|kurs|koers|grondkoers|route|capfond|rumbo|rumo|rotta",
+    r"geschwindigkeit|fart|vaart|snelheid|hastighet|hastighed|predkosc",
+    "course": r"cog|course|crs|gcrs|track|kurs|koers|grondkoers|route|capfond|rumbo|rumo|rotta|kdd",
     "heading": rf"{AT_THE_COMPASS}|cap",
     "magnetic": r"mag|magn|magnetic|magnetisch|magnetique|magnetico|magnetica|magnetnadel",
     "gyro": r"gyro|gyr|rot|yawrate|yawspeed|yawvel|headingrate|turnrate|psidot|r|gz|gyrz|"
-    r"drehrate|gierrate|giersnelheid|draaisnelheid|lacet|giro|velocitaangolare",
+    r"drehrate|gierrate|giersnelheid|draaisnelheid|lacet|giro|girhastighet|girrate|katowa|angolare",
     "accel_x": r"ax|accx|accelx",
     "accel_y": r"ay|accy|accely",
     "accel_z": r"az|accz|accelz",
     "gyro_x": r"p|gx|gyrx|gyrox|rollrate|rollspeed",
     "gyro_y": r"q|gy|gyry|gyroy|pitchrate|pitchspeed",
-    "roll": r"roll|phi|heel",
-    "pitch": r"pitch|theta|trim",
+    "roll": r"roll|phi|heel|krangung|rollwinkel|gite|roulis|sbandamento|rollio|escora|balanceo|"
+    r"krengning|krangning|slagside|helling|przechyl",
+    "pitch": r"pitch|theta|trim|stampfwinkel|nickwinkel|tangage|beccheggio|cabeceo|caturro",
     "height": r"alt|altitude|height|msl|elevation",
     "climb": r"climb|climbrate|velup|vup|vu",
     "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
@@ -97,18 +102,23 @@ NAMES = {
 }
 """Words in the names of columns, by what they mean."""
 
+_DEGREES = (
+    r"deg|degree|degrees|°|gr|grad|grade|graden|grader|grados|gradi|graus|degres|stopni|stopnie"
+)
+
 UNIT_WORDS = {
-    "deg": r"deg|degs|degree|degrees|°|grad|grados|gradi|degres",
+    "deg": rf"degs|{_DEGREES}",
     "rad": r"rad|rads|radians",
-    "kn": r"kn|kt|kts|knot|knots|knoten|nds|noeuds|nudos|nodi|knop",
+    "kn": r"kn|kt|kts|knot|knots|knoten|knopen|knop|knob|nds?|noeuds?|nudos|nodi|nos|w|wezly",
     "kmph": r"kmh|kmph|kph",
     "mph": r"mph",
     "mps": r"mps|ms1",
     "mps2": r"mps2|ms2|mpss",
-    "degps": r"degps|dps|degs|°ps|gradps|gradosps|gradips",
-    "degpmin": r"degpmin|degmin|dpm",
+    "degps": rf"dps|degs|({_DEGREES})ps",
+    "degpmin": rf"degmin|dpm|({_DEGREES})pmin",
     "radps": r"radps|rads",
-    "rpm": r"rpm|[u1]pmin|trpmin|omwpmin",
+    "rpm": r"rpm|([u1r]|tr|tours|omw|omdr|obr|giri|rev|rot|varv)pmin",
+    "percent": r"%|pct|percent|prozent|procent|pourcent|porcento|porciento|percentuale",
     "rps": r"rps|hz",
     "ms": r"ms|msec|millis|milliseconds",
     "us": r"us|usec|micros",
@@ -119,11 +129,17 @@ UNIT_WORDS = {
 }
 
 
+_LETTERS = str.maketrans(
+    {"ł": "l", "Ł": "L", "ø": "o", "Ø": "O", "æ": "ae", "Æ": "AE", "œ": "oe", "ß": "ss"}
+)
+"""Letters that Unicode does not take apart into a plain one and an accent."""
+
+
 def words_of(name: str) -> list[str]:
     """Return the words of a column's name, in lower case and without accents."""
-    plain = unicodedata.normalize("NFKD", name)
+    plain = unicodedata.normalize("NFKD", name.translate(_LETTERS))
     split = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[\u0300-\u036f]", "", plain))
-    return [word for word in re.split(r"[^a-z0-9°]+", split.lower()) if word]
+    return [word for word in re.split(r"[^a-z0-9°%]+", split.lower()) if word]
 
 
 def means(name: str, pattern: str) -> bool:
@@ -139,11 +155,8 @@ def means(name: str, pattern: str) -> bool:
 
 def unit_of(name: str, among: Sequence[str]) -> str:
     """Return the unit that a name ends with, if it is one of some."""
-    squeezed = re.sub(r"[^a-z0-9°]", "", name.lower().replace("/s", "ps").replace("/h", "ph"))
-    words = [
-        *words_of(name.replace("/s", "ps").replace("/h", "ph").replace("/min", "pmin")),
-        squeezed,
-    ]
+    per = name.replace("/s", "ps").replace("/h", "ph").replace("/min", "pmin")
+    words = [*words_of(per), re.sub(r"[^a-z0-9°%]", "", per.lower())]
     for unit in among:
         if any(re.fullmatch(UNIT_WORDS[unit], word) for word in words[1:]):
             return unit
@@ -164,7 +177,7 @@ def is_turn_rate(name: str) -> bool:
 
 def is_rpm(name: str) -> bool:
     """Return whether a name is that of revolutions a minute."""
-    return "rpm" in words_of(name) or bool(unit_of(name, ("rpm",)))
+    return bool(unit_of(f"n {name}", ("rpm",)))
 
 
 def is_setpoint(name: str) -> bool:
@@ -189,7 +202,7 @@ def is_steering(name: str) -> bool:
 def is_shaft(name: str) -> bool:
     """Return whether a name is that of a shaft speed or throttle."""
     other = _is_command(name, PULSE) or (is_setpoint(name) and _is_command(name, AHEAD))
-    return _is_command(name, SHAFT) or (other and not is_steering(name))
+    return is_rpm(name) or _is_command(name, SHAFT) or (other and not is_steering(name))
 
 
 def is_side(name: str) -> bool:

@@ -9,12 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.logs.agreement import (
-    Agreement,
-    gyro_on_compass,
-    heading_on_track,
-    velocity_on_fixes,
-)
+from twin.logs.agreement import Agreement, gyro_on_compass, heading_on_track, velocity_on_fixes
 from twin.logs.autopilot.readers import is_autopilot_log
 from twin.logs.checks import in_degrees
 from twin.logs.clock import wild_stamps
@@ -48,10 +43,7 @@ from twin.logs.proposal.sheet import (
 from twin.logs.proposal.time_columns import find_time
 from twin.logs.rosbag import is_bag
 
-__all__ = [
-    "Proposal",
-    "propose",
-]
+__all__ = ["Proposal", "propose"]
 
 
 _FASTEST = 3.0
@@ -377,10 +369,7 @@ def _plain(columns: Columns, found: Proposal) -> None:
         elif meaning in ("height", "climb"):
             more, why = "scale = -1.0", "down is above 0"
         put(columns, found, target, name, unit.removeprefix("mps"), more, why)
-    for target, meaning in (
-        ("wind_from_rad", "wind_from"),
-        ("apparent_wind_rad", "apparent_from"),
-    ):
+    for target, meaning in (("wind_from_rad", "wind_from"), ("apparent_wind_rad", "apparent_from")):
         name = pick(columns, meaning)
         if name is not None:
             unit = angle_unit(name, columns.numbers[name])

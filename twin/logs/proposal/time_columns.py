@@ -50,6 +50,9 @@ rows a second. Spreadsheets count days from 1900, MATLAB from the year 0."""
 _WHOLE_DAY = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 """Year, month and day in one number."""
 
+_HOURS = re.compile(r":|\d\.\d\d\.\d\d(?!\d)")
+"""Marks between hours, minutes and seconds."""
+
 _AHEAD = re.compile(r"(?:\b(?:UTC|GMT)\s*|(?=[+-]\d\d:))([+-]\d{1,2})(?::?(\d\d))?\b")
 """How far a clock is ahead of UTC, in the name of its column."""
 
@@ -137,12 +140,13 @@ def _clocks(
         if (name in named or name not in numbers or _WHOLE_DAY.fullmatch(first[name]))
         and is_day(first[name])
     ]
-    whole = [
-        n for n in left if n not in numbers and ":" in first[n] and not is_time_of_day(first[n])
-    ]
+    whole = [n for n in left if n not in {*numbers, *days} and _HOURS.search(first[n])]
+    whole = [name for name in whole if not is_time_of_day(first[name])]
     whole += [n for n in left if n not in numbers and re.match(r"\d{8}[ T_-]\d{6}", first[n])]
     whole += [n for n in named if n in numbers and re.match(r"(19|20)\d{12}(\.|$)", first[n])]
     times = [n for n in left if n not in numbers and is_time_of_day(first[n])]
+    # 08.03.10 may be both, and a day changes at midnight alone
+    times = [n for n in times if n not in days or len({*text[n]}) > 2]
     times += [n for n in named if n in numbers and n not in days and _is_hhmmss(numbers[n])]
     whole.sort(key=lambda name: name not in named)
     times.sort(key=lambda name: name not in named)
