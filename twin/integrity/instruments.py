@@ -92,10 +92,26 @@ def sensor_figures(recording: Recording) -> tuple[SensorFigures, ...]:
         unit, scale = UNITS[columns[0].rpartition("_")[2]]
         noise = math.nan
         if len(t) >= ENOUGH and name != "wind":
-            squares = [min(white_noise(t, column), SIZE_MAX) ** 2 for column in values.T]
-            noise = scale * math.sqrt(sum(squares) / len(squares))
+            parts = [max(white_noise(t, each), _rounding_sd(each)) for each in values.T]
+            noise = math.sqrt(sum(min(each, SIZE_MAX) ** 2 for each in parts) / len(parts))
+            if name == "velocity":  # speed and course may be coarse, of which its parts are made
+                speed, course = np.hypot(*values.T), np.arctan2(*values.T[::-1])
+                along, across = _rounding_sd(speed), np.median(speed) * _rounding_sd(course)
+                noise = max(noise, min(math.hypot(along, across) / math.sqrt(2.0), SIZE_MAX))
+            noise *= scale
         figures.append(SensorFigures(name, rate, noise, unit if rate else ""))
     return tuple(figures)
+
+
+def _rounding_sd(values: Array) -> float:
+    """Return the standard deviation of a rounding error: 1/sqrt(12) of the least step of values.
+
+    Its square counts by the share of values that come again.
+    """
+    distinct = np.unique(values.round(6))
+    again = 1.0 - len(distinct) / len(values)
+    least = float(np.diff(distinct).min()) if len(distinct) > 1 else 0.0
+    return least * math.sqrt(again / 12.0)
 
 
 def estimate_instruments(

@@ -343,17 +343,24 @@ def _silent(
     step = np.where(is_gap(recording.t), 0.0, np.diff(recording.t))
     silence = np.diff(np.interp(edges, recording.t, np.append(0.0, np.cumsum(step))))
     bound = max(intervals * float(np.median(np.diff(edges))), least_s)
-    # share of rows in each silence that hold a value: the same one
+    # share of the rows in each silence that hold a value, the same one, as rows do on average
     rows = np.searchsorted(recording.t, edges)
     held = np.append(0, np.cumsum(given))[rows]
-    still = np.diff(held) - 1 > 0.5 * (np.diff(rows) - 1)
+    still = np.diff(held) - 1 > 0.5 * given.mean() * (np.diff(rows) - 1)
     after = np.concatenate(([0.0], size[new[1:] - 1], [0.0]))
     wrong = still
     if sensor != "rows":
-        repeats = np.diff(np.concatenate((new[:1], new, [len(t)]))) - 1
-        if names == SENSORS["compass"]:
-            after = np.fmax(after, _turned(recording, t[new], values[new, 0], edges))
-        wrong = ~still | (repeats == (size == 0.0).sum()) | (after > np.partition(size, -2)[-2])
+        same, rests = size == 0.0, np.zeros(len(after), dtype=np.bool_)
+        if names == VELOCITY:
+            # rows between the samples repeat the fix, too; a boat that rests has 0
+            same &= ~repeated(recording.z[:, :2])[given][1:]
+            rests = np.append(False, ~values[new].any(axis=1))
+        times = np.append(0, np.cumsum(same))
+        repeats = np.diff(np.concatenate(([0], times[new], times[-1:])))
+        if sensor in ("compass", "velocity"):
+            after = np.fmax(after, _changed(recording, sensor, t[new], values[new], edges))
+        alone = (repeats == same.sum()) & ~rests
+        wrong = ~still | alone | (after > np.partition(size, -2)[-2])
     long = np.flatnonzero((silence > bound) & wrong)
     if not len(long):
         return []
@@ -373,30 +380,49 @@ def _silent(
     return [Finding(WARNING, code, what, remedy, sensor, float(silence[k]), **span)]
 
 
-def _turned(recording: Recording, t: Array, headings: Array, edges: Array) -> Array:
-    """Return by how much the gyro turned at least between edges (K,), s, as (K - 1,) rad.
+def _changed(recording: Recording, sensor: str, t: Array, values: Array, edges: Array) -> Array:
+    """Return by how much heading or velocity changed at least between edges (K,), s, as (K - 1,).
 
-    ``t`` and ``headings`` (M,) are new samples of the compass. From the second on, a line is fitted
-    to the difference of both angles: its slope is the gyro's bias. What is left is at worst the
-    random walk of the gyro's white noise, whose variance about such a line is 1/15 of that after
-    the same time. So :data:`CHANGED_SD` of its standard deviations to both sides are taken off.
+    ``t`` and ``values`` (M, k) are new samples, held from the second on against what other sensors
+    say. A line is fitted to the difference of heading and integrated gyro: its slope is the gyro's
+    bias. What is left is at worst the random walk of the gyro's white noise, whose variance about
+    such a line is 1/15 of that after the same time. So :data:`CHANGED_SD` of its standard
+    deviations to both sides are taken off.
+    """
+    at, said, drifts = _said_by_others(recording, sensor)
+    if min(len(t), len(at)) < ENOUGH:
+        return np.zeros(len(edges) - 1)
+    own = np.unwrap(values[1:], axis=0) if sensor == "compass" else values[1:]
+    apart = np.column_stack([np.interp(t[1:], at, each) for each in said.T]) - own
+    after, share = t[1:] - t[1:].mean(), np.zeros(len(edges) - 1)
+    if drifts:
+        bias = after @ apart / (after @ after)
+        apart, said = apart - np.outer(after, bias), said - np.outer(at, bias)
+        share = np.diff(edges) / (t[-1] - t[1])
+    begins = np.searchsorted(at, edges[:-1]).clip(max=len(at) - 1)
+    change = np.maximum.reduceat(said, begins) - np.minimum.reduceat(said, begins)
+    # of the walk after a stretch, and of the bias found before it, over the time of the line
+    sd = np.linalg.norm(np.std(apart, axis=0)) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
+    return np.maximum(np.linalg.norm(change, axis=1) - 2.0 * CHANGED_SD * sd, 0.0)
+
+
+def _said_by_others(recording: Recording, sensor: str) -> tuple[Array, Array, bool]:
+    """Return times (N,), s, heading or velocity (N, k) by other sensors, and whether it drifts.
+
+    A velocity goes with the ways between fixes; a heading with the integrated gyro, else with the
+    axis along which a boat moves that is not slow.
     """
     rate = np.nan_to_num(recording.z[:, MEASUREMENTS.index(GYROS[2])])
-    angle = np.append(0.0, np.cumsum(rate[1:] * np.diff(recording.t)))
-    if len(t) < ENOUGH or not rate.any():
-        return np.zeros(len(edges) - 1)
-    apart, after = (
-        np.interp(t, recording.t, angle)[1:] - np.unwrap(headings[1:]),
-        t[1:] - t[1:].mean(),
-    )
-    bias = float(after @ apart / (after @ after))
-    angle -= bias * recording.t
-    begins = np.searchsorted(recording.t, edges[:-1]).clip(max=len(angle) - 1)
-    turned = np.maximum.reduceat(angle, begins) - np.minimum.reduceat(angle, begins)
-    # of the walk after a stretch, and of the bias found before it, over the time of the line
-    share = np.diff(edges) / (t[-1] - t[1])
-    sd = np.std(apart - bias * after) * np.sqrt(15.0 * share * (1.0 + share) + 1.0)
-    return np.maximum(turned - 2.0 * CHANGED_SD * sd, 0.0)
+    if sensor == "compass" and rate.any():
+        angle = np.append(0.0, np.cumsum(rate[1:] * np.diff(recording.t)))
+        return recording.t, angle[:, None], True
+    at, velocity = speed_of(recording) or (np.empty(0), np.empty((0, 2)))
+    if sensor == "compass":
+        speed = np.hypot(*velocity.T)
+        at, velocity = (each[speed > 0.5 * speed.max(initial=0.0)] for each in (at, velocity))
+        axis = 2.0 * np.arctan2(velocity[:, 1], velocity[:, 0])
+        velocity = 0.5 * np.unwrap(axis)[:, None]
+    return at, velocity, False
 
 
 def without_leaps(recording: Recording) -> tuple[Recording, list[Finding]]:
@@ -465,15 +491,17 @@ def without_marks(
         seen = np.unique(values[np.isfinite(values)])
         middle = np.median(seen) if len(seen) else 0.0
         size = np.abs(values - (0.0 if len(names) > 1 else middle))
-        distinct = np.unique(size[np.isfinite(size)].round(9))
-        if len(distinct) < ENOUGH:
+        angle, command = sensor in HEADINGS, sensor in COMMANDS
+        marks = marks_of(values, 2.0 * math.pi if angle else math.inf) if angle or command else []
+        often = np.isin(values, marks)
+        distinct = np.unique(size[np.isfinite(size) & ~often].round(9))
+        if len(distinct) < (1 if command else ENOUGH):  # commands may be few steps
             continue
         usual, unit = float(np.quantile(distinct, 1.0 - FEW)), names[0].rpartition("_")[2]
         absurd = size > max(GROSS_RATIO * usual, least.get(unit, GROSS_OTHER_MIN))
-        if sensor in HEADINGS:
-            absurd |= np.isin(values, marks_of(values, 2.0 * math.pi))
-        elif sensor in COMMANDS:
-            often = np.isin(values, marks_of(values, math.inf))
+        if angle:
+            absurd |= often
+        elif command and len(distinct) >= ENOUGH:
             absurd |= often & (size > (least["rad"] if unit == "rad" else GROSS_RATIO * usual))
         rows = np.flatnonzero(absurd)
         if not len(rows):
@@ -487,10 +515,9 @@ def without_marks(
             f"{values[row]:.5g}{shown} at t = {recording.t[row]:.1f} s: glitches, or marks for "
             '"no value"'
         )
-        marks = "0, 65535" if sensor in COMMANDS else "999"
         remedy = (
-            f"name them in the mapping, as empty = [{marks}], or leave these cells empty; here "
-            "they are left out, and the rest is checked"
+            f"name them in the mapping, as empty = [{'0, 65535' if command else '999'}], or leave "
+            "these cells empty; here they are left out, and the rest is checked"
         )
         severity = WARNING if len(rows) < FEW * count or OPTIONAL.issuperset(names) else ERROR
         span = {"start": float(recording.t[rows[0]]), "end": float(recording.t[rows[-1]])}
@@ -527,7 +554,7 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
         unequal = not delta.any() and (n[:, 0] != n[:, 1]).mean() > 0.5
         if moved if fixed else unequal:
             other = "drives" if fixed else "differential"
-            what = f"{angles}: {'these move' if fixed else 'none moves, but the shafts differ'}"
+            what = f"{angles}: {'these move' if fixed else '0 in all rows, and the shafts differ'}"
             mix = "[skid_steering] of throttle and steering" if fixed else "other columns"
             remedy = f'steering = "{other}" in the particulars, or {mix} in the mapping'
             found.append(Finding(WARNING, "unit", what, remedy, "steering"))

@@ -467,7 +467,10 @@ def unseen(s: Signals, base: Evidence) -> list[Finding]:
         moves = np.nanstd(np.abs(s.stacked(*each.changed)), axis=1).any()
         if moves and max(_total(base, one, each) for one in after) > -GAIN_MIN:
             found.setdefault(each.sensor, []).append(each.words(each.what, max(sizes)))
-    remedy = "record turns to both sides, legs in several directions and changes of thrust"
+    remedy = (
+        "record turns to both sides, legs in several directions and changes of thrust; if it has "
+        "them, look for wrong columns or units"
+    )
     said = "this log does not tell whether"
     return [
         Finding(NOTE, "unchecked", f"{sensor}: {said} {' or '.join(faults)}", remedy, sensor)

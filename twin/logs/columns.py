@@ -74,7 +74,8 @@ class Entry:
     format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
     date: str = ""  # column of the date, where the source is a time of day
     zone: str = ""  # of its clock, if it is not UTC
-    pulses: tuple[str, ...] = ()  # sources that are pulse widths, some of which may be none
+    # sources that are pulse widths, and the numbers that are none, but for those stated
+    pulses: tuple[tuple[str, tuple[float, ...]], ...] = ()
     # takes what convert takes, returns the plane on which it puts positions, if any
     plane: Callable[[Sequence[Array]], Plane | None] | None = None
 

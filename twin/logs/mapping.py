@@ -338,13 +338,17 @@ class _Parser:
             form,
             date,
             zone,
-            (source,) if self.pulses(name, factor, offset, table) else (),
+            ((source, self.pulses(name, factor, offset, table)),),
         )
 
-    def pulses(self, where: str, factor: float, offset: float, table: Mapping[str, Any]) -> bool:
-        """Return whether a command comes as pulse widths, us, and no marks are stated for it."""
+    def pulses(
+        self, where: str, factor: float, offset: float, table: Mapping[str, Any]
+    ) -> tuple[float, ...]:
+        """Return the marks of a command that comes as pulse widths, us, but for those stated."""
         command = where in COMMANDS or where in SINGLE or where.startswith("[skid")
-        return command and "empty" not in table and 1e3 <= -offset / (factor or 1.0) <= 2e3
+        if not command or not 1e3 <= -offset / (factor or 1.0) <= 2e3:
+            return ()
+        return tuple(mark for mark in NO_PULSES if mark not in self.marks(where, table))
 
     def marks(self, where: str, table: Mapping[str, Any]) -> list[float]:
         """Return the numbers that are no values."""
@@ -357,9 +361,7 @@ class _Parser:
         self, where: str, count: int, factor: float, offset: float, table: Mapping[str, Any]
     ) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
         """Return the conversion of one source to so many columns; None where none is needed."""
-        marks = self.marks(where, table)
-        if self.pulses(where, factor, offset, table):
-            marks = [*NO_PULSES]
+        marks = [*self.marks(where, table), *self.pulses(where, factor, offset, table)]
         if factor == 1.0 and offset == 0.0 and not marks:
             return None
         command = where in COMMANDS or where in SINGLE or where.startswith("[skid")
@@ -461,7 +463,7 @@ class _Parser:
 
     def two(
         self, where: str, given: Any, units: Mapping[str, str]
-    ) -> tuple[str, tuple[str, str], Callable[[Sequence[Array]], list[Array]], tuple[str, ...]]:
+    ) -> tuple[str, tuple[str, str], Callable[[Sequence[Array]], list[Array]], tuple[Any, ...]]:
         """Return topic and sources of a table of two keys, what gives both, which are pulses."""
         table = self.known(where, given, tuple(units))
         names = [f"{where} {key}" for key in units]
@@ -473,7 +475,7 @@ class _Parser:
             raise self.fail(where, f"{' and '.join(units)} must come from the same topic")
         parts = list(zip(names, (one, other), strict=True))
         made = [self.linear(name, 1, *part[2:]) or list for name, part in parts]
-        pulses = tuple(part[1] for name, part in parts if self.pulses(name, *part[2:]))
+        pulses = tuple((part[1], self.pulses(name, *part[2:])) for name, part in parts)
 
         def convert(values: Sequence[Array]) -> list[Array]:
             return [make([value])[0] for make, value in zip(made, values, strict=True)]

@@ -52,7 +52,8 @@ def marks_of(values: Array, turn: float = math.nan) -> list[float]:
             whole_turn = mark >= whole >= others.max()
             turned = angle and ((below and others.min() >= 0.0) or whole_turn or wide)
             turned &= (apart.mean() > 0.5 and times > 1) or abs(mark) > 13.0 / 12.0 * turn
-            far = beyond > np.ptp(others) and often
+            # a heading that stands still is far from those of a few turns
+            far = beyond > np.ptp(others) and often and not 0.0 < abs(mark) < turn < math.inf
             negative = not angle and mark < 0.0 <= others.min() and (often or mark.is_integer())
             if far or negative or turned:
                 found.append(float(mark))

@@ -23,7 +23,6 @@ from twin.logs.datum import Plane
 from twin.logs.errors import LogError
 from twin.logs.files import CsvFile
 from twin.logs.mapping import Layout
-from twin.logs.marks import NO_PULSES
 from twin.logs.parquet import ParquetFile
 
 __all__ = [
@@ -218,8 +217,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     plane = None
     for entry in entries:
         values = [raw[source] for source in entry.sources]
-        for source in entry.pulses:
-            none = np.isin(raw[source], NO_PULSES)
+        for source, marks in entry.pulses:
+            none = np.isin(raw[source], marks)
             if none.any():
                 numbers = ", ".join(f"{mark:g}" for mark in np.unique(raw[source][none]))
                 notes.append(

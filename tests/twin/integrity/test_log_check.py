@@ -16,7 +16,7 @@ from twin.channels import COMMANDS, MEASUREMENTS
 from twin.cli.pictures import draw_check
 from twin.integrity.findings import ERROR, NOTE, WARNING, Finding
 from twin.integrity.instruments import renewed
-from twin.integrity.log_check import LogCheck, check_recording
+from twin.integrity.log_check import LogCheck, check_log, check_recording
 from twin.integrity.rows import check_silence
 from twin.logs.datasets import known_ship
 from twin.logs.log import Log, read_table
@@ -360,17 +360,22 @@ def test_a_compass_that_stops_is_named_though_it_passes_north_elsewhere() -> Non
     assert any(each.code == "frozen" and "compass" in each.what for each in check.findings)
 
 
-@pytest.mark.parametrize(("start", "end"), [(-1.0, 40.0), (60.0, 100.0), (110.0, 1e3)])
+@pytest.mark.parametrize("others", [(), ("gyro_radps",)])
+@pytest.mark.parametrize(
+    ("start", "end"), [(-1.0, 40.0), (60.0, 100.0), (110.0, 1e3), (-1.0, 138.0), (12.0, 1e3)]
+)
 def test_a_coarse_compass_that_stops_at_an_end_of_the_log_is_named(
-    start: float, end: float
+    start: float, end: float, others: tuple[str, ...]
 ) -> None:
+    """By the gyro, or without it by the track."""
     log, boat = sound(*RUNS["otter"])
     names = ("compass_rad",)
 
     def coarse(data: Columns) -> None:
         data["compass_rad"] = np.radians(np.degrees(data["compass_rad"]).round(0))
 
-    check = check_recording(recording(log, coarse, during(start, end, held(*names))), boat)
+    faults = coarse, during(start, end, held(*names)), without(*others)
+    check = check_recording(recording(log, *faults), boat)
     assert serious(check) == {"frozen:compass"}
     found = finding(check, "frozen:compass")
     assert found.start == pytest.approx(max(start, 0.0), abs=1.5)
@@ -389,6 +394,98 @@ def test_a_coarse_compass_of_a_boat_that_rests_has_not_stopped() -> None:
         "gps_y_m": rng.standard_normal(len(t)),
     }
     assert not check_silence(Recording.of(data, {}, "rest"))
+
+
+def each_second(filled: bool) -> Fault:
+    """Let the GPS come once a second, with empty cells or repeated ones in between."""
+
+    def fault(data: Columns) -> None:
+        rows = np.arange(len(data["t_s"]))
+        for name in (*FIX, *VELOCITY):
+            last = data[name][rows // 20 * 20]
+            data[name] = last if filled else np.where(rows % 20 == 0, last, math.nan)
+
+    return fault
+
+
+@pytest.mark.parametrize("filled", [False, True])
+@pytest.mark.parametrize(("start", "end"), [(59.9, 73.0), (119.9, 1e3)])
+@pytest.mark.parametrize("run", RUNS)
+def test_a_velocity_that_stops_is_named_where_the_gps_is_slower_than_the_rows(
+    run: str, start: float, end: float, filled: bool
+) -> None:
+    log, boat = sound(*RUNS[run])
+
+    def stop(data: Columns) -> None:
+        part = np.isfinite(data[VELOCITY[0]]) & (data["t_s"] > start) & (data["t_s"] < end)
+        for name in VELOCITY:
+            data[name][part] = data[name][part][0]
+
+    assert serious(check_recording(recording(log, each_second(filled)), boat)) == set()
+    check = check_recording(recording(log, each_second(filled), stop), boat)
+    assert serious(check) == {"frozen:velocity"}
+    assert "the same values" in finding(check, "frozen:velocity").what
+
+
+def test_the_velocity_of_a_boat_that_rests_is_0_and_not_frozen() -> None:
+    rng, t = np.random.default_rng(3), 0.1 * np.arange(1500)
+    speed = np.where(t < 75.0, 1.0 + 0.1 * rng.standard_normal(len(t)), 0.0)
+    data = {"t_s": t, "gps_x_m": np.cumsum(0.1 * speed) + 0.1 * rng.standard_normal(len(t))}
+    data |= {"gps_y_m": 0.1 * rng.standard_normal(len(t))}
+    data |= {VELOCITY[0]: speed, VELOCITY[1]: 0.0 * t}
+    data["compass_rad"] = 0.01 * rng.standard_normal(len(t))
+    assert not check_silence(Recording.of(data, {}, "rest"))
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_a_coarse_velocity_is_not_frozen_and_its_noise_is_that_of_rounding(run: str) -> None:
+    """Of both parts: (0.5 m/s)^2 / 24 along, and (10 degrees times the speed)^2 / 24 across."""
+
+    def coarse(data: Columns) -> None:
+        speed = 0.5 * (np.hypot(*(data[name] for name in VELOCITY)) / 0.5).round()
+        course = np.arctan2(data[VELOCITY[1]], data[VELOCITY[0]]) / math.radians(10.0)
+        course = math.radians(10.0) * course.round()
+        data[VELOCITY[0]], data[VELOCITY[1]] = speed * np.cos(course), speed * np.sin(course)
+
+    log, boat = sound(*RUNS[run])
+    check = check_recording(recording(log, coarse), boat)
+    assert not any(each.code == "frozen" for each in check.findings)
+    typical = float(np.nanmedian(np.hypot(*log.z[:, 2:4].T)))
+    rounding = math.hypot(0.5, math.radians(10.0) * typical) / math.sqrt(24.0)
+    assert check.instruments.doppler_sd == pytest.approx(rounding, rel=0.3)
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_marks_of_pulses_hide_no_swapped_sides(swap: bool, tmp_path: Path) -> None:
+    """Of commands in few steps, under a mapping that states another mark."""
+    log, boat = sound(*RUNS["otter"])
+    data, scale = columns_of(log), float(np.abs(log.cmd[:, :2]).max()) / 400.0
+    pulses = [50.0 * ((1500.0 + data[name] / scale) / 50.0).round() for name in SHAFTS]
+    for row in range(100, 2900, 100):
+        for part in pulses:
+            part[row : row + 5] = 65535.0 if row % 200 else 0.0
+    given = {"t_s": data["t_s"], **dict(zip(("l", "r"), pulses[:: -1 if swap else 1], strict=True))}
+    given |= {name: data[name] for name in (*FIX, *VELOCITY, "compass_rad", "gyro_radps")}
+    table = np.column_stack(list(given.values()))
+    path, mapping = tmp_path / "run.csv", tmp_path / "run.mapping.toml"
+    np.savetxt(path, table, "%.6f", ",", header=",".join(given), comments="")
+    more = f"scale = {scale}, offset = {-1500.0 * scale}, empty = [-1.0]"
+    lines = [f'n_{side}_rps = {{ from = "{side[0]}", {more} }}' for side in ("left", "right")]
+    lines += [f'{name} = "{name}"' for name in given if len(name) > 1]
+    mapping.write_text("\n".join(["[columns]", "delta_rad = 0.0", *lines]), encoding="utf-8")
+    check = check_log(path, mapping, boat)
+    assert serious(check) == ({"sides:commands"} if swap else set())
+    assert any("pulses are 0, 65535 us wide" in each for each in check.notes)
+
+
+def test_marks_among_few_commands_are_named() -> None:
+    def unknown(data: Columns) -> None:
+        for name in SHAFTS:
+            data[name] = 2.0 * (data[name] / 2.0).round()
+            data[name][100::50] = 1300.0
+
+    log, boat = sound(*RUNS["otter"])
+    assert serious(check_recording(recording(log, unknown), boat)) == {"mark:n_left_rps"}
 
 
 def test_marks_among_the_commands_are_named_and_no_other_fault() -> None:
