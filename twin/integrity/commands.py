@@ -363,7 +363,6 @@ def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, g
     _write_likelihoods(
         drives, changes, bias_var, turned, sway, axes, has_gps, given, by_yaw, by_all
     )
-    drives.steps += 1.0
     strongest = force
     if trained:
         for h in range(HYPOTHESES):
@@ -389,6 +388,7 @@ def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, g
     force = int(drives.hypothesis)
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
+        drives.steps += 1.0
         for axis in range(2):
             _learn(drives, axis, force, changes[axis], sway, given)
     return suspected
