@@ -2,7 +2,8 @@
 
 As long as the filter in force passes its test, what it uses is sound. Where it fails, the smallest
 set is looked for whose filter passes without it: that of a single sensor before that of a device.
-If only one passes, or one leads by likelihood, it comes into force after :data:`DECIDE_SINGLE_S`,
+If only one passes, or one leads by likelihood, it comes into force after :data:`DECIDE_SINGLE_S`
+(accelerometers that only the commands contradict after as many steps as a decision on these takes),
 else the best after :data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be
 undone (solution separation).
 
@@ -24,6 +25,7 @@ from twin.integrity.bank import (
     GYRO,
     LEFT_OUT,
     LOST_SD_M,
+    NO_ACCELEROMETERS,
     NO_COMPASS,
     NO_GPS,
     NO_GYRO,
@@ -33,12 +35,14 @@ from twin.integrity.bank import (
     SENSED,
     SILENT_S,
     STATES,
+    THRUST,
     WINDOWS_S,
     begin_anew,
     begin_at_fix,
     convert,
     forget_tests,
 )
+from twin.integrity.commands import STEPS_MIN
 from usv_kernel.jit import inlined, kernel
 
 __all__ = ["DECISION", "decide"]
@@ -161,7 +165,11 @@ def _leave_out(bank, state, force, yaw_witness, given):
     count, best, lead = _best(bank, force, yaw_witness)
     waited = now - state.failing_since
     certain = (count == 1 and _is_tested(bank, best)) or lead > LEAD_LOG_RATIO
-    if best >= 0 and waited > (DECIDE_SINGLE_S if certain else DECIDE_S):
+    least = DECIDE_SINGLE_S
+    if best == NO_ACCELEROMETERS and bank.modelled > 0.0:
+        # or the commands are: no sooner than these would be found
+        least = max(least, STEPS_MIN * bank.interval[THRUST])
+    if best >= 0 and waited > (least if certain else DECIDE_S):
         state.afresh, state.failing_since, state.in_doubt = 0.0, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
