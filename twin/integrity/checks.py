@@ -35,7 +35,6 @@ from twin.integrity.bank import (
 from twin.integrity.commands import (
     LEARN_LOG_RATIO_MAX,
     LEFT_DEAD,
-    PUSH_LEARNED_S,
     RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
@@ -205,7 +204,6 @@ def _aid_bank(memory, has_gps, given):
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
     sound = sound and most_evidence(drives) < LEARN_LOG_RATIO_MAX
-    sound = sound and drives.learned >= PUSH_LEARNED_S
     bank.modelled = 1.0 if sound and not has_gps else 0.0
     if drives.said == 0.0:
         return

@@ -85,9 +85,6 @@ longer ones drag answers."""
 STEP_MIN_S = 0.9
 """A step is no shorter."""
 
-PUSH_LEARNED_S = 30.0
-"""Time of learning their difference, after which commands and accelerometers are compared."""
-
 WARM_UP_STEPS = 35.0
 """Number of steps before the first decision."""
 
@@ -160,7 +157,6 @@ DRIVES = np.dtype(
         ("excess", "f8", 2),  # what the accelerometers measured more
         ("length", "f8"),  # how long it was, s
         ("said", "f8"),  # 1 where these are new
-        ("learned", "f8"),  # time over which the variance was learned, s
         ("yaw", "f8"),  # yaw rate by the commands alone
         ("yaw_var", "f8"),  # variance of what it is wrong by
         ("headings", "f8", 2),  # by gyro and by compass when the step began, rad
@@ -363,7 +359,6 @@ def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, g
     _write_likelihoods(
         drives, changes, bias_var, turned, sway, axes, has_gps, given, by_yaw, by_all
     )
-    drives.steps += 1.0
     strongest = force
     if trained:
         for h in range(HYPOTHESES):
@@ -389,6 +384,7 @@ def _add_evidence(drives, changes, bias_var, turned, sway, axes, has_gps, now, g
     force = int(drives.hypothesis)
     known = force in (SOUND, LEFT_DEAD, RIGHT_DEAD)
     if has_gps and known and not (trained and suspected):
+        drives.steps += 1.0
         for axis in range(2):
             _learn(drives, axis, force, changes[axis], sway, given)
     return suspected
@@ -427,7 +423,6 @@ def _write_accelerations(drives, surge, changes, sway, turned, span, h, has_gps,
         excess = changes[1 + axis] - drives.push[axis]
         drives.excess[axis] = excess
         if has_gps:
-            drives.learned += 0.5 * span
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
     drives.length, drives.said = span, 1.0
 
