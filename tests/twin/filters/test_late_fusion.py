@@ -192,6 +192,24 @@ def test_gps_loss_of_a_minute_stays_within_bounds() -> None:
     assert (rms(out, s, back + 200) < [0.8, 0.8, 0.012, 0.25, 0.25, 0.01]).all()
 
 
+def test_loss_of_all_sensors_for_five_minutes_is_survived() -> None:
+    n = 600 + 6000 + 600
+    s, z = measured(np.random.default_rng(6), n, INSTRUMENTS)
+    lost, back = 600, 6600
+    fusion = LateFusion(INSTRUMENTS, LENGTH)
+    run(fusion, z[:lost])
+    start = fusion.state
+    end = run(fusion, np.full((600, len(MEASUREMENTS)), math.nan), 10 * DT)[-1]
+    # neither acceleration nor yaw rate of the last second is carried on for minutes
+    assert np.hypot(*(end - start)[:2]) < 3000.0
+    assert abs(end[5]) < 1e-3
+    error = run(fusion, z[back:]) - s[back:]
+    # the count of whole turns is lost with the compass
+    error[:, 2] = np.mod(error[:, 2] + math.pi, 2.0 * math.pi) - math.pi
+    after = np.sqrt(np.mean(error[200:] ** 2, axis=0))
+    assert (after < [0.8, 0.8, 0.012, 0.25, 0.25, 0.01]).all()
+
+
 @pytest.mark.parametrize("length", [1.0, 7.5, 300.0])
 def test_two_hours_of_loss_leave_sound_covariances(length: float) -> None:
     _, z = measured(np.random.default_rng(0), 40, INSTRUMENTS)

@@ -149,6 +149,15 @@ def test_whatever_it_is_fitted_to_it_is_stable(seed, N, grow, kind) -> None:
             assert spectral_radius(a) < 1.0
 
 
+def test_columns_do_not_touch_each_other() -> None:
+    w = process(400)
+    together = fit_autoregression(w)
+    for j in range(3):
+        alone = fit_autoregression(w[:, j : j + 1])
+        # the same sums, but for the order in which memory is read
+        np.testing.assert_allclose(together[:, j], alone[:, 0], rtol=1e-9)
+
+
 def test_what_is_predicted_is_the_recursion() -> None:
     past = np.random.default_rng(3).normal(size=(ORDER, 3))
     coefficients = np.column_stack([TRUE, 0.5 * TRUE, np.zeros(ORDER)])

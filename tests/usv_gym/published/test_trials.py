@@ -52,21 +52,6 @@ def test_turning_of_a_circle_has_closed_form_indices(drift: float) -> None:
     assert other.side == -1 and other[1:] == pytest.approx(got[1:], rel=1e-9)
 
 
-def test_zigzag_of_triangles_has_closed_form_indices() -> None:
-    switch, overshoot, rate = 10.0 * DEGREE, 4.0 * DEGREE, 2.0 * DEGREE
-    t = 0.01 * np.arange(6000)
-    track = triangles(t, switch, overshoot, rate)
-    got = trials.zigzag_indices(track, switch, origin=APPROACH)
-    # 5 s to 10 degrees, 2 s to the peak, 14 s from switch to switch
-    assert got.side == 1 and len(got.overshoots) == 4
-    np.testing.assert_allclose(got.executes, [0.0, 5.0, 19.0, 33.0, 47.0], atol=1e-6)
-    np.testing.assert_allclose(got.overshoots, overshoot, atol=0.01 * rate)
-    # overshoots without a peak are left out
-    for end, seen in ((6.9, 0), (8.0, 1), (20.9, 1)):
-        part = triangles(t[t <= APPROACH + end], switch, overshoot, rate)
-        assert len(trials.zigzag_indices(part, switch, origin=APPROACH).overshoots) == seen
-
-
 def test_incomplete_manoeuvres_are_refused() -> None:
     small = triangles(0.05 * np.arange(2000), 6 * DEGREE, 2 * DEGREE, DEGREE)
     with pytest.raises(ValueError, match="never reached 10 degrees"):
