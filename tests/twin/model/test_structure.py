@@ -11,7 +11,6 @@ from twin import Twin
 from twin.model.priors import scaled_prior
 from twin.model.structure import (
     MODELS,
-    N_STATES,
     N_TERMS,
     ONE,
     TERMS,
@@ -197,30 +196,6 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
         np.testing.assert_allclose(
             slopes[i, used], expected[used], rtol=1e-6, atol=2e-6, err_msg=str(i)
         )
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_limits_and_blocks_frame_what_enters_each_equation(case) -> None:
-    structure = boat(case)
-    which, limits = structure.terms.which, structure.terms.limits
-    p = len(structure)
-    assert which.shape == (3, p) and limits.shape == (N_STATES, 2)
-    assert len(structure.units) == len(structure.scales) == p
-    assert len(set(structure.parameters)) == p
-    assert (limits[:3] == N_STATES).all()  # place and heading depend on no parameter at once
-    terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, -6.0, 0.1, 0.3))
-    for i, (letters, block) in enumerate(
-        zip(("XTE", "YTE", "NT"), ("surge", "sway", "yaw"), strict=True)
-    ):
-        first, last = structure.blocks[block]
-        assert (first, last) == tuple(limits[3 + i] - N_STATES)
-        assert all(name[0] in letters for name in structure.parameters[first:last])
-        for k in range(p):
-            moves = accelerations(terms, structure.terms, np.eye(p)[k], 0)[i] != 0.0
-            assert moves == (first <= k < last)
-    assert sum(last - first for first, last in structure.blocks.values()) == p + 2 * (
-        "E_north" in structure.parameters
-    )
 
 
 @pytest.mark.parametrize("name", MODELS)
