@@ -153,6 +153,20 @@ def test_odometry_is_in_the_frame_of_the_autopilot_and_of_the_present(both: Both
     assert t == pytest.approx(both.now, abs=0.15)
 
 
+def test_a_loss_is_handed_over_and_back(both: Both) -> None:
+    both.sail(12.0)
+    assert both.navigation.state == "ready"
+    both.pilot.fix_type = 1
+    both.sail(10.0)
+    assert both.navigation.state == "aiding"
+    assert both.pilot.sources[-1] == 2.0
+    both.pilot.fix_type = 3
+    both.sail(6.0)
+    assert both.navigation.state == "ready"
+    assert both.pilot.sources[-1] == 1.0
+    assert both.states == ["ready", "lost", "aiding", "returning", "ready"]
+
+
 def test_arming_lets_the_twin_begin_again(both: Both) -> None:
     both.pilot.armed = False
     both.sail(8.0)

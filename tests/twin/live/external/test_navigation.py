@@ -333,13 +333,8 @@ def test_without_a_twin_the_failsafe_holds_the_boat() -> None:
     assert math.hypot(*one.ekf.pilot.seen[-1].velocity[:2]) < 1.5  # it drifts
 
 
-@pytest.fixture(scope="module")
-def early() -> Sailed:
-    """Return a flight that loses GPS before the twin has seen enough."""
-    return sail(end=60.0, lost=45.0)
-
-
-def test_a_twin_that_has_seen_too_little_does_not_take_over(early: Sailed) -> None:
+def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
+    early = sail(end=60.0, lost=45.0)
     assert early.states() == ["lost"]
     assert "of 30 s under way" in early.events[-2][1]
     assert "fell to Hold" in early.events[-1][1]
