@@ -24,16 +24,16 @@ ROOT = Path(__file__).resolve().parents[4]
 MIDNIGHT = 1.7e9 - 1.7e9 % 86400
 KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], example.Stream], float, float]] = {
     # resolutions: 1e-7 minutes and 1e-7 degrees, 1e-4 knots and 1 cm/s
-    "nmea": (NmeaFeed, lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
+    "nmea": (NmeaFeed, lambda boat: example.NmeaStream(start=MIDNIGHT - 10.0), 4e-4, 2e-4),
     "tagged": (
         NmeaFeed,
-        lambda boat: example.NmeaStream(start=MIDNIGHT - 60.0, tag=True),
+        lambda boat: example.NmeaStream(start=MIDNIGHT - 10.0, tag=True),
         4e-4,
         2e-4,
     ),
     "mavlink": (
         MavlinkFeed,
-        lambda boat: example.MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
+        lambda boat: example.MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 10.0),
         1.2e-2,
         5.1e-3,
     ),
@@ -76,9 +76,8 @@ def test_a_simulated_run_comes_back(simulated: tuple[Log, Particulars], kind: st
     check_same(log, wire, place, velocity, 2.0 * boat.shaft_speed / 400.0)
 
 
-def test_the_pace_is_that_of_the_log(circle: Log) -> None:
-    now = [0.0]
-    log = circle.slice(0.0, 20.0)
+def test_the_pace_is_that_of_the_log(simulated: tuple[Log, Particulars]) -> None:
+    now, log = [0.0], simulated[0]
 
     def sleep(seconds: float) -> None:
         now[0] += seconds
@@ -112,10 +111,10 @@ def test_the_example_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -
     ],
 )
 def test_what_cannot_be_sent_is_refused(
-    circle: Log, address: str, speed: float, place: tuple[float, float]
+    simulated: tuple[Log, Particulars], address: str, speed: float, place: tuple[float, float]
 ) -> None:
     with pytest.raises(UsvTwinError):
-        example.replay(circle, example.NmeaStream(place), address, speed=speed)
+        example.replay(simulated[0], example.NmeaStream(place), address, speed=speed)
 
 
 def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:
