@@ -44,13 +44,13 @@ def test_a_recorded_log_holds_the_same_numbers(datum, with_truth, log, tmp_path)
 
 
 def test_a_process_that_is_killed_loses_at_most_a_second(log, tmp_path):
-    """What is in the file while it is written is what such a process leaves."""
-    made = Recorder(tmp_path, particulars_of(VESSEL), with_truth=True)
+    """What is in the file while it is written is what such a process leaves; rows are short."""
+    made = Recorder(tmp_path, particulars_of(VESSEL), with_truth=False)
     for row, (t, z, cmd) in enumerate(log):
-        made.add(t, z, cmd, log.truth[row], None)
-        if row > 20 and row % 37 == 0:
+        made.add(t, np.where(np.arange(len(z)) < 2, z, np.nan), cmd, log.truth[row], None)
+        if row > 20 and row % 11 == 0:
             left = Log.read(made.path)
-            assert left.t[-1] >= t - 1.0 and left.truth is not None
+            assert left.t[-1] >= t - 1.0
     twin = Twin(Particulars.load(made.path.with_suffix(".toml")), "persistence")
     assert len(twin.run(left)) == len(left)
     made.close()
