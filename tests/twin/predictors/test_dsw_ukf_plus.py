@@ -228,6 +228,18 @@ def test_predictions_stay_finite(boat: Particulars, zigzag: Log, name: str, stor
     assert estimate.ready == (story not in ("no fix", "no heading"))
 
 
+def test_it_comes_back_after_an_hour(boat: Particulars, zigzag: Log) -> None:
+    predictor = PlusPredictor(boat)
+    feed(predictor, gap(zigzag, 30.0, 3600.0))
+    error = predictor.estimate().state - zigzag.truth[-1]
+    # a receiver's bias and noise, and waves
+    assert np.hypot(*error[:2]) < 6.0 and np.abs(error[3:5]).max() < 0.8
+    used = predictor.segments.first[predictor.segments.first >= 0]
+    # nothing from before the gap, but segments of the half minute since
+    assert len(used) >= 5
+    assert used.min() * GRID > 3500.0
+
+
 @pytest.mark.parametrize("start", [3.0, 5.0, 60.0, 3600.0])
 def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: float) -> None:
     """``start`` seconds of silence: rows within it are no measurements of anything."""
