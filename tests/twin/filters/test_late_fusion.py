@@ -168,6 +168,18 @@ def test_before_the_first_fix_it_follows_compass_and_gyro() -> None:
     check_sound(fusion)
 
 
+def test_a_fix_without_compass_is_not_ready() -> None:
+    fusion = LateFusion(INSTRUMENTS, LENGTH)
+    z = np.full(len(MEASUREMENTS), math.nan)
+    z[:4] = 5.0, 6.0, 1.0, 2.0
+    np.testing.assert_allclose(fusion.update(DT, z), [5.0, 6.0, 0.0, 1.0, 2.0, 0.0])
+    assert not fusion.ready
+    z[4] = math.pi / 2.0
+    s = fusion.update(DT, z)
+    assert fusion.ready
+    np.testing.assert_allclose(s[2:5], [math.pi / 2.0, 2.0, -1.0], atol=0.1)
+
+
 def test_gps_loss_of_a_minute_stays_within_bounds() -> None:
     s, z = measured(np.random.default_rng(3), 2400, INSTRUMENTS)
     lost, back = 600, 1800
