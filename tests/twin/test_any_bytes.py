@@ -234,7 +234,7 @@ def read_mutants(kind: Kind, folder: Path, count: int, seed: int) -> None:
     assert loaded < count
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_damaged_files_give_a_sentence_or_load(kind, count, tmp_path):
     read_mutants(kind, tmp_path, count, seed=1)
