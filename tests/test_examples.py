@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin import PREDICTORS
+
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 STUDY_PAGE = (ROOT / "docs/explanation/study.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 # run by test_ray.py and test_single_file_ppo.py in tests/twin/agents, and by
-# tests/twin/live/external/test_mission_example.py
-OPTIONAL = {"05_rllib.py", "07_ardurover_mission.py", "08_single_file_ppo.py"}
+# tests/twin/live/external/test_mission_example.py, the last by tests/twin/live/protocols
+OPTIONAL = {"05_rllib.py", "07_ardurover_mission.py", "08_single_file_ppo.py", "replay.py"}
 OPTIONAL |= {"09_minari_dataset.py"}  # run below
 EXAMPLES = [p for p in sorted((ROOT / "examples").glob("*.py")) if p.name not in OPTIONAL]
 
@@ -29,9 +31,14 @@ def run(code: list[str], cwd: Path) -> str:
     return result.stdout
 
 
+@pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
-def test_example_runs(path, tmp_path):
-    assert run([str(path)], tmp_path).strip()
+def test_example_runs(path, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    monkeypatch.setitem(PREDICTORS, "fading-turn", None)  # which one of them adds
+    runpy.run_path(str(path), run_name="__main__")
+    assert capsys.readouterr().out.strip()
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))

@@ -11,7 +11,7 @@ import pytest
 
 from twin import Log, Particulars, Twin, known_plan
 from twin.benchmark.scores import Reference
-from twin.boat_prior import LOAD_SD_SHARE, BoatPrior, BoatPriorError, combine, limited
+from twin.boat_prior import LOAD_SD_SHARE, BoatPrior, BoatPriorError, combine
 from twin.model.priors import PriorError
 from twin.particulars import ParticularsError
 from twin.predictors.base import Predictor
@@ -76,13 +76,6 @@ def test_runs_that_differ_leave_the_prior_wide() -> None:
     assert apart[1][0, 0] > 2.0 * same[1][0, 0] and apart[1][0, 0] > 0.16  # their own variance
     # more runs that agree are surer than one
     assert same[1][0, 0] < combine(population, [(np.array([0.5]), narrow)])[1][0, 0]
-
-
-def test_limited_keeps_what_is_narrower() -> None:
-    rng = np.random.default_rng(3)
-    bound = random_cov(rng, 4)
-    np.testing.assert_allclose(limited(0.3 * bound, bound), 0.3 * bound, rtol=1e-9)
-    np.testing.assert_allclose(limited(7.0 * bound, bound), bound, rtol=1e-9)
 
 
 # ------------------------------------------------- file and particulars

@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import json
 import math
-import os
 import zipfile
 from collections import deque
 
@@ -289,18 +288,3 @@ def test_a_field_that_does_not_fit_is_named(saved, name, array):
     change(saved, arrays={name: array})
     with pytest.raises(StateError, match=rf"boat.twin: field '{name}'"):
         Twin.load(saved)
-
-
-def test_power_cut_keeps_the_old_file(saved, losses, monkeypatch):
-    before = saved.read_bytes()
-    twin = Twin.load(saved)
-    feed(twin, losses, 300, 320)
-
-    def cut(*_):
-        raise OSError("no power")
-
-    monkeypatch.setattr(os, "fsync", cut)
-    with pytest.raises(OSError, match="no power"):
-        twin.save(saved)
-    assert saved.read_bytes() == before
-    assert [path.name for path in saved.parent.iterdir()] == [saved.name]

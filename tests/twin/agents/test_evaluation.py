@@ -59,25 +59,6 @@ def test_an_agent_that_lacks_a_part_is_named(tmp_path, monkeypatch):
         evaluation.agents_named("half:Half")
 
 
-@pytest.mark.parametrize(("algo", "observation"), [("PPO", "twin"), ("SAC", "compact")])
-def test_a_model_of_stable_baselines3_sails_as_it_was_saved(tmp_path, algo, observation):
-    sb3 = pytest.importorskip("stable_baselines3")
-    from usv_gym.envs.sb3 import SB3VecEnv
-
-    options = {"observation": observation, "frame_skip": 10}
-    model = getattr(sb3, algo)("MlpPolicy", SB3VecEnv(1, **options), device="cpu", seed=3)
-    model.save(tmp_path / "model")
-    evaluation.agents_named(str(tmp_path / "model"))  # as it was named to save
-    ((label, agent),) = evaluation.agents_named(str(tmp_path / "model.zip"))
-    assert label.endswith("model.zip") and agent.observation == observation
-    envs = make_envs(2, observation=observation)
-    obs = envs.reset(seed=[5, 6])[0]
-    agent.begin(envs)
-    np.testing.assert_allclose(agent.act(obs), model.predict(obs, deterministic=True)[0])
-    (row,) = evaluate(agent, seeds=[5], max_episode_steps=3)
-    assert row["agent"] == "model"
-
-
 @pytest.mark.parametrize("algo", ["PPO", "SAC"])
 @pytest.mark.parametrize("name", ["vecnormalize", "model_vecnormalize"])
 def test_a_model_is_scaled_by_the_file_beside_it(tmp_path, algo, name):
@@ -222,14 +203,6 @@ def test_station_keeping_counts_the_distance_to_the_point():
     envs.reset(seed=[1])
     far = np.hypot(*envs.task.errors[0, :2])
     assert row["cross_track_m"] == pytest.approx(far, abs=6.0) and far > 25.0
-
-
-def test_evaluation_has_no_memory():
-    agent = Fixed(0.6, 0.1)
-    twice = [evaluate(agent, seeds=(1, 2), max_episode_steps=20, faults="gps10") for _ in "ab"]
-    assert twice[0] == twice[1]
-    (alone,) = evaluate(agent, seeds=(2,), max_episode_steps=20, faults="gps10")
-    assert alone == twice[0][1]
 
 
 GRID = {"seeds": (1, 2), "seas": ("0", "2"), "outages": ("none", "gps10@1")}

@@ -81,13 +81,6 @@ def test_a_run_that_crashed_goes_on_as_if_it_had_not(tmp_path, algo, monkeypatch
     assert logs == {"progress_0.csv", "progress_128.csv"}
 
 
-def test_same_seed_same_curve_and_another_seed_another(tmp_path):
-    first, again = run(tmp_path, name="a"), run(tmp_path, name="b")
-    assert curve(first) == curve(again) and same(first.policy, again.policy)
-    other = run(tmp_path, name="c", seed=1)
-    assert not same(first.policy, other.policy)
-
-
 def test_a_run_that_is_done_stays_as_it_is_and_another_one_is_refused(tmp_path):
     first = run(tmp_path)
     before = (tmp_path / "run" / "policy.npz").stat().st_mtime_ns

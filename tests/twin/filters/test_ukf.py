@@ -6,8 +6,6 @@ import math
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from twin.filters import ukf
 from twin.model import augmented, dynamics
@@ -165,7 +163,9 @@ def test_equals_the_full_filter(
         scratch = augmented.JointWorkspace(Q_s, q_xi, terms, work)
         repairs = augmented.joint_predict(state, H, config, scratch)
         assert repairs == 0
-        ukf.measurement_update(x, P, z, mask, R, 2, math.inf, work)
+        nis = ukf.measurement_update(x, P, z, mask, R, 2, math.inf, work)
+        if mask.any():
+            assert nis == pytest.approx(full.f.mahalanobis**2, rel=1e-6)
         sd = np.sqrt(np.diag(full.f.P))
         worst = max(
             worst,
@@ -174,42 +174,6 @@ def test_equals_the_full_filter(
         )
     assert worst < 1e-9
     assert np.array_equal(P, P.T)
-
-
-def test_equals_a_textbook_filter_on_a_linear_model() -> None:
-    rng = np.random.default_rng(5)
-    n_s, n_xi = 4, 7
-    n = n_s + n_xi
-    A = np.eye(n)
-    A[:n_s, :n_s] += 0.2 * rng.normal(size=(n_s, n_s))
-    A[:n_s, :n_s] /= 1.05 * np.max(np.abs(np.linalg.eigvals(A[:n_s, :n_s])))
-    A[0, n_s:], A[1, n_s + 2 : n_s + 5], A[3, n_s:] = 1.0, 0.5, rng.normal(size=n_xi)
-    limits = np.array([[n_s, n], [n_s + 2, n_s + 5], [n_s, n_s], [n_s, n]])
-    x, P = rng.normal(size=n), np.diag(rng.uniform(0.5, 2.0, n))
-    own_x, own_P = x.copy(), P.copy()
-    weights, work = ukf.scaled_weights(n, 0.9, 1.0, 3.0), ukf.workspace(n_s, n_xi)
-    for _ in range(1000):
-        Q = np.diag(rng.uniform(0.01, 0.1, n))
-        Q[:n_s, :n_s] += 0.005
-        R = np.diag(rng.uniform(0.1, 1.0, n_s)) + 0.05
-        z = np.where(rng.random(n_s) < 0.3, math.nan, x[:n_s] + rng.normal(size=n_s))
-        assert ukf.sigma_points(own_x, own_P, weights, work) == 0
-        work.points[:, :n_s] = work.points[:, :n] @ A[:n_s].T
-        work.slope[:n_s, n_s:n] = A[:n_s, n_s:]
-        process = Q[:n_s, :n_s].copy(), np.diag(Q)[n_s:].copy()
-        assert ukf.time_update(own_x, own_P, *process, limits, weights, work) == 0
-        nis = correct(own_x, own_P, z, R)
-        x, P = A @ x, A @ P @ A.T + Q
-        seen = np.isfinite(z)
-        C = np.eye(n)[:n_s][seen]
-        S = C @ P @ C.T + R[np.ix_(seen, seen)]
-        K = np.linalg.solve(S, C @ P).T
-        y = z[seen] - x[:n_s][seen]
-        x, P = x + K @ y, (np.eye(n) - K @ C) @ P
-        sd = np.sqrt(np.diag(P))
-        assert np.max(np.abs(own_x - x) / sd) < 1e-10
-        assert np.max(np.abs(own_P - P) / np.outer(sd, sd)) < 1e-10
-        assert nis == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9, abs=1e-12)
 
 
 def test_weights_are_those_of_the_scaled_transform() -> None:
@@ -296,39 +260,3 @@ def test_a_prediction_that_overflows_is_dropped() -> None:
     assert augmented.joint_predict(state, H, config, scratch) == 1
     assert np.array_equal(x, before_x)
     np.testing.assert_array_equal(np.diag(P - before_P)[:6] > 0.0, True)
-
-
-@settings(max_examples=15, deadline=None)
-@given(
-    seed=st.integers(0, 10_000),
-    loss=st.floats(0.0, 0.95),
-    outliers=st.floats(0.0, 0.2),
-    gate=st.sampled_from([30.0, math.inf]),
-)
-def test_survives_losses_and_outliers(seed: int, loss: float, outliers: float, gate: float) -> None:
-    steps = 2000
-    rng = np.random.default_rng(seed)
-    acts, zs = run_of_boat(steps, seed)
-    x, P = start()
-    weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
-    Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
-    q_xi, terms = (1e-3 * PAPER.sd) ** 2, np.empty(N_TERMS)
-    config = augmented.JointConfig(PAPER.terms, weights)
-    scratch = augmented.JointWorkspace(Q_s, q_xi, terms, work)
-    masks = rng.random((steps, 6)) >= loss
-    wild = rng.random((steps, 6)) < outliers
-    zs = zs + np.where(wild, 1e6 * SENSOR_SD * rng.normal(size=(steps, 6)), 0.0)
-    for k in range(steps):
-        state = augmented.JointState(x, P, acts[k], CALM)
-        repairs = augmented.joint_predict(state, H, config, scratch)
-        ukf.measurement_update(x, P, zs[k], masks[k], R, 2, gate, work)
-        assert np.isfinite(x).all() and np.isfinite(P).all()
-        assert np.array_equal(P, P.T)
-        assert (np.diag(P) > 0.0).all()
-        if math.isfinite(gate):
-            assert repairs == 0
-        if k % 50 == 0:
-            sd = np.sqrt(np.diag(P))
-            least = np.linalg.eigvalsh(P / np.outer(sd, sd))[0]
-            # Having followed an outlier, rounding may show until the next prediction.
-            assert least > (1e-6 if math.isfinite(gate) else -1e-4)

@@ -79,10 +79,3 @@ def test_after_a_change_the_refit_goes_on_from_what_was_known(structure):
     weak = structure.mean - 0.5 * share_slopes(structure.terms)[0] @ structure.mean
     now = selector.params[SHORT]
     assert np.all(np.abs(now[k] - weak[k]) < 0.5 * np.abs(structure.mean[k] - weak[k]))
-
-
-def test_a_boat_that_does_not_change_stays_with_its_refit(structure):
-    rows = window(structure, structure.mean, np.random.default_rng(8), noise=0.7, rows=480)
-    selector = DataWeightSelector(segments(structure, structure.mean))
-    run(structure, selector, rows)
-    assert selector.state.count[ALARM] < 0.0

@@ -18,11 +18,12 @@ SMALL = Particulars(
 )
 
 
-def at_rest(name: str, seconds: float = 60.0, seed: int = 0) -> Twin:
-    """Return a twin that watched a boat lie still with all but no thrust."""
-    twin, rng = Twin(SMALL, name), np.random.default_rng(seed)
+@pytest.fixture(scope="module", params=["ukf", "dsw-ukf-plus"])
+def at_rest(request: pytest.FixtureRequest) -> Twin:
+    """Return a twin that watched a boat lie still with all but no thrust for a minute."""
+    twin, rng = Twin(SMALL, request.param), np.random.default_rng(0)
     command = np.array([-1.5, 2.1, 0.0, 0.0])
-    for k in range(round(10.0 * seconds)):
+    for k in range(600):
         z = np.full(17, np.nan)
         z[:2] = rng.normal(0.0, 0.1, 2)
         z[2:4] = rng.normal(0.0, 0.05, 2)
@@ -32,14 +33,12 @@ def at_rest(name: str, seconds: float = 60.0, seed: int = 0) -> Twin:
     return twin
 
 
-@pytest.mark.parametrize("name", ["ukf", "dsw-ukf-plus"])
 @pytest.mark.parametrize("thrust", [0.0, 1.0, 2.0])
 def test_intervals_of_a_small_boat_at_rest_are_such_as_a_boat_can_fill(
-    name: str, thrust: float
+    at_rest: Twin, thrust: float
 ) -> None:
-    twin = at_rest(name)
     plan = np.tile([20.0 * thrust, 20.0 * thrust, 0.0, 0.0], (20, 1))
-    forecast = twin.predict(plan, dt=0.5)
+    forecast = at_rest.predict(plan, dt=0.5)
     low, high = forecast.interval([10.0])
     width = (high - low)[0]
     # 3.3 standard deviations of a velocity, each at most .6 of 1.5 nominal speeds

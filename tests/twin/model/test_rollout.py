@@ -5,12 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from twin.filters import ukf
-from twin.model import actuators, augmented, dynamics, rollout
+from twin.model import augmented, dynamics, rollout
 from twin.model.structure import MODELS, N_TERMS, Structure, accelerations
 from twin.particulars import Particulars
 from usv_kernel.scalar import actuate
@@ -375,24 +373,6 @@ def test_a_boat_that_gathers_speed_from_rest_is_followed(
     np.testing.assert_allclose(coarse[:, 2], fine[:, 2], atol=0.05)
 
 
-@BOATS
-def test_rollout_continues_where_it_ended(name: str, steering: str) -> None:
-    structure = structure_for(name, steering)
-    plan, xi = steering_plan(60), lively(structure)
-    how = {"structure": structure, "wind": WINDY}
-    whole, whole_act = forecast(xi, plan, **how)  # type: ignore[arg-type]
-    first, first_act = forecast(xi, plan[:25], **how)  # type: ignore[arg-type]
-    second, second_act = forecast(
-        xi,
-        plan[25:],
-        start=Start(s=tuple(first[-1]), act=tuple(first_act[-1])),
-        **how,  # type: ignore[arg-type]
-    )
-    # the shaft speeds come back to the structure's unit with rounding
-    np.testing.assert_allclose(np.vstack([first, second]), whole, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(np.vstack([first_act, second_act]), whole_act, rtol=1e-13)
-
-
 def test_waves_without_gain_carry_the_boat_along_and_do_nothing_else() -> None:
     still = np.zeros(25)
     waves = np.tile([0.3, -0.2, 0.0], (40, 1))
@@ -441,21 +421,6 @@ def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
     np.testing.assert_array_equal(out[-1, 3:], [3.0, -1.0, 0.0])
 
 
-@pytest.mark.parametrize("u", [0.5, 2.0, 5.0])
-def test_the_forecasts_step_agrees_with_the_classical_one(u: float) -> None:
-    """The forecast's step saves sines; the classical one is that which the refit differentiates."""
-    act, h, rates = np.array([5.0, 6.0, 0.2, 0.2]), rollout.GRID, np.empty((4, 6))
-    start = Start(s=(0.0, 0.0, 0.3, u, 0.1, 0.05), act=tuple(act))
-    path, _acts = forecast(XI, act[None], h, start)
-    s = np.array(start.s)
-    for k, part in enumerate((0.0, 0.5, 0.5, 1.0)):
-        rates[k] = derivative(s + part * h * rates[k - 1] if k else s, XI, act)
-    classical = s + h / 6.0 * (rates[0] + 2.0 * (rates[1] + rates[2]) + rates[3])
-    moved = np.abs(classical - s).max()
-    # measured: 8e-6 to 1.2e-5 of the motion, all of it in place and heading
-    assert np.abs(path[0] - classical).max() < 5e-5 * moved
-
-
 @BOATS
 @pytest.mark.parametrize(
     ("scale", "seed"),
@@ -481,26 +446,3 @@ def test_rollout_of_an_explosive_set_stays_in_the_envelope(
     largest = np.abs(out[:, 3:]).max(axis=0)
     assert (largest <= [12.0, 11.0, 1.5]).all() and (largest == [12.0, 11.0, 1.5]).any()
     assert np.hypot(*np.diff(out[:, :2], axis=0).T).max() <= math.hypot(12.0, 11.0) * 0.1 + 1e-9
-
-
-@settings(max_examples=50, deadline=None)
-@given(
-    value=st.floats(-2.0, 2.0),
-    target=st.floats(-2.0, 2.0),
-    lag=st.floats(0.01, 2.0),
-    rate=st.one_of(st.floats(0.05, 5.0), st.just(math.inf)),
-)
-def test_follow_solves_the_actuator_law(
-    value: float, target: float, lag: float, rate: float
-) -> None:
-    once, slow = value, value
-    h, parts = 0.5, 5000
-    for _ in range(parts):
-        slow += h / parts * actuate(slow, target, lag, rate)
-    for _ in range(7):
-        once = actuators.follow(once, target, lag, rate, h / 7)
-    assert once == pytest.approx(slow, abs=1e-3 + 0.01 * h / parts * abs(target - value) / lag)
-    # one that is next to its target is taken as there
-    close = 1e-12 + 2.0 * actuators.ARRIVED_SHARE * abs(target)
-    assert actuators.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
-    assert min(value, target) <= once <= max(value, target)

@@ -11,7 +11,6 @@ from twin import Twin
 from twin.model.priors import scaled_prior
 from twin.model.structure import (
     MODELS,
-    N_STATES,
     N_TERMS,
     ONE,
     TERMS,
@@ -199,30 +198,6 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
         )
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_limits_and_blocks_frame_what_enters_each_equation(case) -> None:
-    structure = boat(case)
-    which, limits = structure.terms.which, structure.terms.limits
-    p = len(structure)
-    assert which.shape == (3, p) and limits.shape == (N_STATES, 2)
-    assert len(structure.units) == len(structure.scales) == p
-    assert len(set(structure.parameters)) == p
-    assert (limits[:3] == N_STATES).all()  # place and heading depend on no parameter at once
-    terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, -6.0, 0.1, 0.3))
-    for i, (letters, block) in enumerate(
-        zip(("XTE", "YTE", "NT"), ("surge", "sway", "yaw"), strict=True)
-    ):
-        first, last = structure.blocks[block]
-        assert (first, last) == tuple(limits[3 + i] - N_STATES)
-        assert all(name[0] in letters for name in structure.parameters[first:last])
-        for k in range(p):
-            moves = accelerations(terms, structure.terms, np.eye(p)[k], 0)[i] != 0.0
-            assert moves == (first <= k < last)
-    assert sum(last - first for first, last in structure.blocks.values()) == p + 2 * (
-        "E_north" in structure.parameters
-    )
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_bias_is_added_once_and_changes_nothing_else(name) -> None:
     plain, biased = (structure_of(name, LENGTH, SPEED, SHAFT, biased=b) for b in (False, True))
@@ -236,71 +211,6 @@ def test_bias_is_added_once_and_changes_nothing_else(name) -> None:
     # whether the heading plays a part, which spares the prediction sines where it does not
     assert biased.terms.hull[1] == 1.0
     assert plain.terms.hull[1] == (1.0 if name == "mmg" else 0.0)
-
-
-@pytest.mark.parametrize("name", MODELS)
-@settings(max_examples=30, deadline=None)
-@given(psi=finite, turn=finite)
-def test_earth_fixed_accelerations_stay_as_the_boat_turns(name, psi, turn) -> None:
-    structure = structure_of(name, LENGTH, SPEED, SHAFT, biased=True)
-    xi = np.zeros(len(structure))
-    where = structure.parameters.index("E_north")
-    xi[where : where + 2] = 0.03, -0.05
-    for heading in (psi, psi + turn):
-        terms = terms_of(structure, (4.0, 1.0, 0.3), heading, CALM, (5.0, 6.0, 0.1, 0.3))
-        du, dv, dr = accelerations(terms, structure.terms, xi, 0)
-        c, s = math.cos(heading), math.sin(heading)
-        np.testing.assert_allclose([du * c - dv * s, du * s + dv * c], [0.03, -0.05], atol=1e-15)
-        assert dr == 0.0
-
-
-def test_wind_acts_by_its_speed_past_the_boat() -> None:
-    structure = structure_of("mmg", LENGTH, SPEED, SHAFT)
-    columns = [structure.parameters.index(name) for name in ("X_w", "Y_w", "N_w")]
-    xi = np.zeros(len(structure))
-    xi[columns] = 0.003, 0.006, 0.002
-
-    def push(nu: tuple[float, float, float], psi: float, wind: tuple[float, float]) -> np.ndarray:
-        terms = terms_of(structure, nu, psi, np.array(wind), (5.0, 6.0, 0.1, 0.3))
-        return np.array(accelerations(terms, structure.terms, xi, 0))
-
-    assert (push((4.0, 1.0, 0.3), 0.7, (0.0, 0.0)) == 0.0).all()  # not known
-    # a boat that drifts with the wind feels none; one at rest feels it all, from astern
-    np.testing.assert_allclose(push((2.0, 0.0, 0.3), 0.0, (2.0, 0.0)), 0.0, atol=1e-15)
-    np.testing.assert_allclose(push((0.0, 0.0, 0.0), 0.0, (5.0, 0.0)), [0.075, 0.0, 0.0])
-    # wind from port pushes to starboard, and all turns with boat and wind
-    side = push((0.0, 0.0, 0.0), 0.0, (0.0, 5.0))
-    np.testing.assert_allclose(side, [0.0, 0.15, 0.0], atol=1e-15)
-    turned = push((1.0, 0.5, 0.2), 0.4 + 0.9, (5 * math.cos(2.0 + 0.9), 5 * math.sin(2.0 + 0.9)))
-    np.testing.assert_allclose(
-        turned, push((1.0, 0.5, 0.2), 0.4, (5 * math.cos(2.0), 5 * math.sin(2.0))), atol=1e-14
-    )
-
-
-# Those whose sign a mirror does not turn, though they stand in sway or yaw.
-LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S", "X_dn", "N_mn"}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_terms_mirror_port_and_starboard(case) -> None:
-    structure, rng = boat(case), np.random.default_rng(1)
-    lopsided = LOPSIDED | ({"N_dn"} if case[1] == "tanker" else set())  # one screw turns one way
-    p = len(structure)
-    swap = list(range(p))
-    for k, name in enumerate(structure.parameters):
-        if name[0] == "T":
-            swap[k] = structure.parameters.index(name[:-1] + {"L": "R", "R": "L"}[name[-1]])
-    for _ in range(20):
-        u, v, r, psi = rng.normal(size=4)
-        wind, n = rng.normal(size=2), rng.normal(size=2)
-        d = rng.uniform(-0.5, 0.5, 2)
-        phi = terms_of(structure, (u, v, r), psi, wind, (*n, *d))
-        image = terms_of(structure, (u, -v, -r), -psi, wind * [1, -1], (*n[::-1], *-d[::-1]))
-        for k, name in enumerate(structure.parameters):
-            one = np.array(accelerations(phi, structure.terms, np.eye(p)[k], 0))
-            two = np.array(accelerations(image, structure.terms, np.eye(p)[swap[k]], 0))
-            sign = -1.0 if name in lopsided else 1.0
-            np.testing.assert_allclose(two, sign * one * [1, -1, -1], atol=1e-14, err_msg=name)
 
 
 @pytest.mark.parametrize("name", MODELS)

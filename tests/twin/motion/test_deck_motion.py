@@ -326,8 +326,12 @@ def test_any_rows_leave_forecasts_finite(steps: list[float], seed: int, size: fl
     for dt in steps:
         t += dt
         z = size * rng.standard_normal(len(MEASUREMENTS))
-        z[rng.random(len(z)) < 0.2] = np.nan
+        z[rng.random(len(z)) < 0.2] = rng.choice([np.nan, np.inf, -np.inf])
         take(motion, t, dt, z, size * rng.standard_normal(6), bool(rng.integers(2)))
+    now = motion.estimate()
+    if now is not None:
+        assert np.isfinite([now.roll, now.pitch, now.heave, now.vertical_speed, *now.sd]).all()
+        assert max(abs(now.roll), abs(now.pitch)) <= 1.6
     if motion.active:
         states = size * rng.standard_normal((3, 6))
         forecast = motion.forecast(np.array([1.0, 5.0, 10.0]), states, states[0])

@@ -90,7 +90,7 @@ def dropped(
     return change
 
 
-@pytest.mark.parametrize("seconds", [0.1, 0.25, 0.5, 2.0, 10.0])
+@pytest.mark.parametrize("seconds", [0.25, 2.0])
 @pytest.mark.parametrize("always", [(), AHRS], ids=["ahrs", "no ahrs"])
 @pytest.mark.parametrize("stuck", [False, True], ids=["empty", "stuck"])
 def test_deviations_cover_the_errors_while_axes_die_in_turn(

@@ -157,8 +157,6 @@ def test_every_plan_gives_a_finite_forecast(twin, horizon, dt, shaft, angle, une
     check_prediction(twin.predict(plan, dt=dt), rows)
 
 
-@pytest.mark.parametrize(
-    ("horizon", "dt"), [(600.0, 0.1), (600.0, 30.0), (10.0, 0.01), (0.01, 0.01), (1e-3, 1.0)]
-)
+@pytest.mark.parametrize(("horizon", "dt"), [(600.0, 1.0), (10.0, 0.01), (1e-3, 1.0)])
 def test_every_horizon_gives_a_finite_forecast(twin, horizon, dt):
     check_prediction(twin.predict("hold", horizon=horizon, dt=dt), max(round(horizon / dt), 1))

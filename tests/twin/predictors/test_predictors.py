@@ -69,52 +69,6 @@ def test_intervals_are_given_or_normal():
     np.testing.assert_allclose(high, 0.5 * (1.6448536 + mean[:1] + 5.0), rtol=1e-7)
 
 
-def test_ukf_beats_persistence_in_the_zigzag(make_twin, zigzag):
-    """The order found in the study, with wide margins."""
-    worst = {}
-    for name in ("persistence", "persistence-8s", "ukf", "dsw-ukf"):
-        twin = make_twin(name)
-        errors = []
-        for k, (t, z, cmd) in enumerate(zigzag):
-            twin.step(t, z, cmd)
-            if t >= 35.0 and k % 40 == 0 and k + 200 < len(zigzag):
-                moved = twin.predict(known_plan(zigzag, k, 10.0, 0.1), dt=0.1)
-                error = (moved.mean[-1] - moved.start)[:2]
-                error = error - (zigzag.truth[k + 200] - zigzag.truth[k])[:2]
-                errors.append(np.hypot(*error))
-        worst[name] = np.median(errors)
-    assert worst["ukf"] < 2.5
-    assert worst["ukf"] < 0.3 * worst["persistence"]
-    assert worst["dsw-ukf"] < worst["persistence"]
-
-
-def test_ukf_identifies_the_boat(make_twin, zigzag):
-    """Damping and thrust get the signs of a ship, and no standard deviation grows."""
-    twin = make_twin("ukf")
-    prior = twin.estimate()
-    twin.run(zigzag)
-    last = twin.estimate()
-    named = dict(zip(twin.predictor.parameter_names, last.params, strict=True))
-    assert max(named[name] for name in ("X_uu", "Y_v", "N_r")) < 0.0
-    assert min(named["T_uL"], named["T_rL"]) > 0.0
-    assert (last.params_sd <= prior.params_sd * (1 + 1e-9)).all()
-    assert (last.params_sd < 0.8 * prior.params_sd).sum() >= 3
-
-
-def test_gps_loss_is_dead_reckoned(make_twin, zigzag):
-    z = zigzag.z.copy()
-    z[800:1000, :4] = math.nan
-    lost = dataclasses.replace(zigzag, z=z)
-    twin = make_twin("ukf")
-    twin.run(lost.slice(t1=lost.t[1000]))
-    # the study: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
-    assert np.hypot(*(twin.estimate().state - zigzag.truth[999])[:2]) < 4.0
-    sd = twin.estimate().sd[0]
-    unhurt = make_twin("ukf")
-    unhurt.run(zigzag.slice(t1=zigzag.t[1000]))
-    assert sd > unhurt.estimate().sd[0]
-
-
 def test_hold_velocity_is_an_arc():
     start = np.array([1.0, 2.0, 0.3, 0.0, 0.0, 0.0])
     t = np.array([0.5, 2.0, 10.0])

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from twin.agents.controllers import make_controller
 from twin.agents.evaluation import make_envs
@@ -12,30 +10,6 @@ from twin.sim.wrapper import make_env, make_vector_env
 from usv_kernel.errors import UsvTwinError
 
 NAMES = make_env(twin="ukf").observation_names
-
-
-@settings(max_examples=8, deadline=None)
-@given(
-    names=st.lists(st.sampled_from(NAMES), min_size=1, max_size=20, unique=True),
-    mode=st.sampled_from(["NextStep", "SameStep"]),
-)
-def test_a_list_shows_these_entries_alone_and_many_equal_one(names, mode) -> None:
-    options = {"twin": "ukf", "frame_skip": 5, "vessel_spread": 0.2}
-    envs = make_vector_env(
-        2, observation=names, max_episode_steps=3, autoreset_mode=mode, **options
-    )
-    one = make_env(observation=names, **options)
-    full = make_env(observation="twin", **options)
-    places = [NAMES.index(name) for name in names]
-    assert one.observation_names == tuple(names) == envs.observation_names
-    seen, alone, whole = envs.reset(seed=3)[0], one.reset(seed=4)[0], full.reset(seed=4)[0]
-    for _ in range(3):
-        np.testing.assert_array_equal(alone, whole[places])
-        np.testing.assert_array_equal(alone, seen[1])
-        seen, *_, infos = envs.step(np.full((2, 2), 0.4))
-        alone, whole = one.step([0.4, 0.4])[0], full.step([0.4, 0.4])[0]
-    last = infos["final_obs"][1] if mode == "SameStep" else seen[1]
-    np.testing.assert_array_equal(alone, last)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin.integrity.state import EXCLUDED, OK, SENSORS, STATUSES
 from twin.sim.twin_observation import HEALTH_OBSERVATION, TWIN_OBSERVATION
-from twin.sim.wrapper import log_of, make_env
+from twin.sim.wrapper import make_env
 from usv_gym.envs.episodes import OBSERVATION
 
 STEPS = 1000
@@ -28,19 +28,6 @@ def sail(env, seed=1, steps=STEPS):
             action = np.array([rng.uniform(0.4, 0.9), rng.uniform(-1.0, 1.0)])
         obs, *_, info = env.step(np.broadcast_to(action, env.action_space.shape))
     return obs, info
-
-
-def test_a_copy_of_a_boats_twin_goes_on_as_the_boats_own():
-    envs = gym.make_vec("USVTwin-v0", num_envs=2, twin="ukf", **OPTIONS)
-    sail(envs, steps=540)  # the gyro is left out
-    copy = envs.unwrapped.twin(0)
-    assert copy.health["gyro"].status == "excluded"
-    assert copy.health["gyro"].since == pytest.approx(24.0, abs=4.0)
-    for _ in range(100):
-        envs.step(np.zeros(envs.action_space.shape))
-    copy.run(log_of(envs, boat=0).slice(27.025))
-    np.testing.assert_array_equal(copy.monitor.memory, envs.unwrapped.twin(0).monitor.memory)
-    envs.close()
 
 
 @pytest.mark.parametrize("name", ["ukf", "persistence"])

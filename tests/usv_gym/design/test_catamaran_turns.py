@@ -32,7 +32,6 @@ WAMV = MainParticulars(
     speed=1.7, hulls=2, hull_beam=0.3379, spacing=2.054,
 )
 # fmt: on
-DRAFTS = {known.name: known for known in (OTTER, WAMV, BLUEBOAT)}
 
 
 def one_sided_turn(vessel: Vessel) -> tuple[float, float]:
@@ -105,13 +104,6 @@ def test_draft_turns_as_the_recorded_blueboat(run: str, speed: float) -> None:
     assert all(within(rate, recorded) for recorded in rates), (rate, rates)
 
 
-@pytest.mark.parametrize("name", list(DRAFTS))
-def test_thrusters_leave_the_speed_as_asked_for(name: str) -> None:
-    known, boat = DRAFTS[name], design(DRAFTS[name]).vessel
-    service = boat.straight_speed(boat.values["shaft_speed_service"])
-    assert service == pytest.approx(known.speed, rel=2e-3)
-
-
 def test_thruster_that_stands_still_drags() -> None:
     boat = design(BLUEBOAT).vessel
     D, k_2 = boat.values["propeller_diameter"], boat.values["k_2"]
@@ -120,12 +112,6 @@ def test_thruster_that_stands_still_drags() -> None:
     assert -k_2 * D**2 == pytest.approx(0.5 * 1.2 * 0.55 * disk, rel=0.01)
     k_0, k_1 = boat.values["k_0"], boat.values["k_1"]
     assert k_0 + 1.1 * k_1 + 1.1**2 * k_2 == pytest.approx(0.0, abs=0.01)
-
-
-@pytest.mark.parametrize("name", list(DRAFTS))
-def test_check_is_content_with_the_turn_of_a_draft(name: str) -> None:
-    found = inspect(design(DRAFTS[name]).vessel)
-    assert not any("turn" in finding.text for finding in found.findings)
 
 
 def test_check_warns_of_thrusters_that_hardly_turn_the_boat() -> None:

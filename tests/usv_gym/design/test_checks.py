@@ -19,7 +19,7 @@ def facts(name: str) -> dict[str, float]:
 
 
 def test_speeds_and_thrusts_are_the_published_ones() -> None:
-    # 13.1 kN make 9.667 m/s (tests/usv_gym/published/test_small_boats.py)
+    # by its published damping 13.1 kN make 9.667 m/s
     telemetron = facts("telemetron")
     assert telemetron["thrust, max N"] == pytest.approx(13100.0, rel=1e-5)
     assert telemetron["speed, max m/s"] == pytest.approx(9.667, abs=1e-3)

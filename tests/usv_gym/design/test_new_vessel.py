@@ -79,7 +79,7 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
     n = boat.values["shaft_speed_manoeuvring"]
     assert course_eigenvalues(boat, n)[0].real < 0.0
     assert boat.straight_speed(boat.values["shaft_speed_service"]) == pytest.approx(
-        froude * math.sqrt(9.80665 * length), rel=1e-2
+        froude * math.sqrt(9.80665 * length), rel=2e-3
     )
     sails(boat)
 

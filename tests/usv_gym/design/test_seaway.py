@@ -33,6 +33,7 @@ def test_a_tender_ship_is_named_with_its_sea_and_headings() -> None:
     said = warning_of(TENDER, SeaState.named("4"), 6)
     assert said is not None
     assert said.startswith("kvlcc2_l7 capsizes in waves of 2.5 m within a minute")
+    assert warning_of(TENDER, SeaState.named("4"), 3) is None
     found = inspect(TENDER)
     assert any("capsizes within a minute" in finding.text for finding in found.findings)
     assert not any("capsizes" in one.text for one in inspect(Vessel.load("usv75")).findings)
@@ -48,10 +49,6 @@ def test_the_worst_moment_of_a_sea_that_changes_counts() -> None:
     assert said is not None
     assert "waves of 2.5 m" in said
     assert warning_of(TENDER, SeaState(schedule=(SeaKeyframe(0.0, 0.05, 1.0),)), 6) is None
-
-
-def test_with_three_degrees_of_freedom_no_vessel_capsizes() -> None:
-    assert warning_of(TENDER, SeaState.named("4"), 3) is None
 
 
 def test_the_trial_repeats_itself_and_is_that_of_the_numbers() -> None:

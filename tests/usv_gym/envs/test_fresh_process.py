@@ -32,6 +32,7 @@ def test_the_simulator_imports_the_twin_when_an_environment_has_one() -> None:
         "known = 'USVTwin-v0' in gym.registry\n"
         "print(known, any(m.split('.')[0] == 'twin' for m in sys.modules))\n"
         "env = gym.make('usv_gym:USVTwin-v0', twin='persistence')\n"
+        "assert not {'pygame', 'matplotlib'} & set(sys.modules)\n"
         "print(*env.reset(seed=0)[0].shape)"
     )
     assert out.split() == ["True", "False", str(len(OBSERVATION) + len(TWIN_OBSERVATION))]

@@ -176,7 +176,8 @@ def test_parts_of_a_long_step_change_no_bit(monkeypatch):
     ],
 )
 def test_an_environment_with_faults_is_made_again_from_the_json_of_its_spec(faults: Any) -> None:
-    env = gym.make("USVTwin-v0", twin=None, faults=faults, sea=SeaState(hs=0.7))
+    others = {"twin": "persistence", "task": "free", "band_period": 2.0, "sea": SeaState(hs=0.7)}
+    env = gym.make("USVTwin-v0", faults=faults, **others)
     spec = EnvSpec.from_json(env.spec.to_json())  # type: ignore[union-attr]
     again = gym.make(spec)
     for one in (env, again):

@@ -164,20 +164,6 @@ def test_a_decision_of_ten_steps_is_ten_steps():
         assert info["t_s"] == last["t_s"]
 
 
-def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
-    env = make_env(twin=None, sea="calm|2|4", faults="none|gps10|imu5@3", task="free")
-    waves, losses = set(), set()
-    for seed in range(40):
-        env.reset(seed=seed)
-        waves.add(round(float(np.square(env.simulation.waves[0, 4]).sum()), 6))
-        fault = env.simulation.faults[0, 0]
-        lost = not np.isnan(fault["start"])
-        losses.add((float(fault["bits"]), float(fault["start"])) if lost else ())
-    assert len(waves) == 3 and 0.0 in waves
-    kinds = {loss[:1] for loss in losses}
-    assert len(kinds) >= 3
-
-
 # ------------------------------------------------- observation sets
 
 
@@ -312,16 +298,6 @@ def test_observation_sets_that_cannot_be_say_so():
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
     with pytest.raises(ValueError, match="frame_skip = 0"):
         make_env(frame_skip=0)
-
-
-def test_processes_of_their_own_give_the_same_bits():
-    options = {"observation": "twin", "twin": "ukf", "frame_skip": 10}
-    apart = gym.make_vec("USVTwin-v0", 2, "async", **options)
-    native = gym.make_vec("USVTwin-v0", 2, **options)
-    np.testing.assert_array_equal(apart.reset(seed=1)[0], native.reset(seed=1)[0])
-    action = np.array([[0.5, 0.1], [0.6, -0.1]], np.float32)
-    np.testing.assert_array_equal(apart.step(action)[0], native.step(action)[0])
-    apart.close()
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import usv_gym  # noqa: F401 - registers the environment
+from tests.usv_gym.envs.test_own_tasks import Line
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym import SeaState
 from usv_gym.world.faults import Fault
@@ -68,8 +69,13 @@ CASES = [
     *map(decisions, OBSERVATIONS),
     *(decisions("twin", twin=twin) for twin in ("dsw-ukf-plus", "var")),
     decisions("twin", vessel="usv75|otter"),
+    decisions(["ahead_5s_forward", "gps_age", "twin_surge"], vessel="usv75|otter"),
     decisions("twin_health", vessel="usv75|otter", twin="persistence"),
     {"twin": "ukf", "sea": "2", "dof": 6, "faults": EVERYTHING, "max_episode_steps": 200},
+    {**DRAWN, "twin": None, "task": "docking", "vessel": "kvlcc2_l7|wamv16", "sea": "2|building"},
+    {**DRAWN, "twin": None, "task": "station", "dof": 6, "suite": "best", "faults": "on"},
+    {**DRAWN, "twin": None, "task": "seakeeping", "dof": 6, "reward_weights": {"effort": 0.5}},
+    {**DRAWN, "twin": None, "task": Line, "current": (0.3, (0.0, 90.0)), "heading_deg": 90.0},
 ]
 """How resets come about has nothing to do with these: they take turns, but for the plain twin."""
 

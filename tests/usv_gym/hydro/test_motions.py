@@ -9,11 +9,8 @@ import pytest
 from examples.validation import rao
 from tests.usv_gym.world.seas import realise
 from usv_gym import SeaState, Vessel
-from usv_gym.hydro.motions import response
-from usv_gym.hydro.table import between
-from usv_gym.physics import GRAVITY, waves
+from usv_gym.physics import waves
 from usv_gym.world.realisation import load_rows
-from usv_gym.world.simulation import Simulation
 
 NAMES = ("usv75", "otter")
 OMEGA = {"usv75": (1.2, 2.2, 3.2), "otter": (2.0, 3.5, 5.0)}
@@ -22,29 +19,6 @@ OMEGA = {"usv75": (1.2, 2.2, 3.2), "otter": (2.0, 3.5, 5.0)}
 @pytest.fixture(scope="module", params=NAMES)
 def boat(request):
     return Vessel.load(request.param)
-
-
-@pytest.mark.parametrize("degrees", [90, 135, 180])
-def test_responses_are_those_of_the_table(boat, degrees):
-    omega = np.array(OMEGA[boat.name])
-    ours = rao.responses(boat, omega, math.radians(degrees))
-    j = round(degrees / 15)
-    wanted = np.abs(between(omega, boat.hydro.omega, response(boat.hydro, boat.values)[:, j]))
-    np.testing.assert_allclose(ours.heave, wanted[:, 2], rtol=0.04)
-    if degrees != 180:
-        np.testing.assert_allclose(ours.roll, wanted[:, 3], rtol=0.05)
-    if degrees != 90:
-        np.testing.assert_allclose(ours.pitch, wanted[:, 4], rtol=0.04)
-
-
-def test_waves_longer_than_the_table_s_carry_the_boat(boat):
-    omega = 0.6 * boat.hydro.omega[0]
-    slope = omega**2 / GRAVITY
-    head, beam = (rao.respond(boat, omega, to) for to in (math.pi, 0.5 * math.pi))
-    for got in (head.heave, head.pitch / slope, beam.heave, beam.roll / slope, beam.east):
-        assert float(got) == pytest.approx(1.0, abs=0.03)
-    # the centre of the water plane lies off the middle
-    assert float(beam.pitch) < 0.15 * slope
 
 
 def test_the_file_s_numbers_are_kept_aside(boat):
@@ -89,19 +63,6 @@ def test_loads_between_headings_are_interpolated_closely(boat):
         both = [mode, mode + waves.SINE_LOADS]
         error, size = (factors - exact)[both][:, long], exact[both][:, long]
         assert np.linalg.norm(error) < 0.02 * np.linalg.norm(size)
-
-
-def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):
-    plain = boat.without_table()
-
-    def turn(one):
-        simulation = Simulation(1, one, SeaState.named("calm"), dof=3)
-        simulation.reset([0], [np.random.default_rng(0)])
-        for _ in range(200):
-            simulation.step(one.command(8.0, 0.2)[None])
-        return simulation.state[0].copy()
-
-    np.testing.assert_array_equal(turn(plain), turn(boat))
 
 
 def test_a_table_that_ends_too_early_is_refused():

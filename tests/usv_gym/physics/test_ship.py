@@ -85,15 +85,6 @@ def a_sea(seed: int, boat: Vessel = BOAT, **kwargs: float) -> Sea:
     return realise(state, seed, boat)
 
 
-@pytest.mark.parametrize("knots", [3.0, 8.0, 15.0, 25.0, 38.0])
-def test_sails_straight_after_a_push(knots: float) -> None:
-    n = shaft_for(knots)
-    end = sail(start(knots * KNOT, v=0.2, r=0.05, n=n), helm(n, 0.0), 60.0)[-1]
-    assert np.all(np.abs(end[[fr.V, fr.R]]) < 1e-5)
-    assert end[fr.U] == pytest.approx(knots * KNOT, rel=1e-3)
-    assert abs(end[fr.PSI]) < math.radians(20.0)
-
-
 # ------------------------------------------------- symmetries
 
 
@@ -250,29 +241,6 @@ def energy(states: np.ndarray, v: dict[str, float]) -> np.ndarray:
     stored = v["water_density"] * GRAVITY * v["A_wp"] * sinkage**2
     stored += m * GRAVITY * (v["GM_T"] * k_y**2 + v["GM_L"] * k_x**2)
     return 0.5 * (moving + stored)
-
-
-@given(
-    u=st.floats(-5, 20),
-    v=st.floats(-3, 3),
-    r=st.floats(-0.6, 0.6),
-    psi=angles,
-    dof=freedom,
-    tilt=tilts,
-)
-@settings(max_examples=60, deadline=None)
-def test_a_sea_of_no_height_is_no_sea(
-    u: float, v: float, r: float, psi: float, dof: int, tilt: tuple[float, ...]
-) -> None:
-    """Wind, waves and current of zero leave the derivative as it is, to the bit."""
-    state = tilted(start(u, v, r, n=15.0, delta=0.1, psi=psi), tilt, dof)
-    flat = a_sea(0)
-    flat.waves[[waves.AMPLITUDE, waves.PRESSURE, waves.BOTTOM]] = 0.0
-    flat = dataclasses.replace(flat, weather=wx.constant())
-    calm = derivative(state, dof=dof)
-    np.testing.assert_array_equal(derivative(state, sea=flat, dof=dof), calm)
-    named = realise(SeaState.named("calm"))
-    np.testing.assert_array_equal(derivative(state, sea=named, dof=dof), calm)
 
 
 @pytest.mark.parametrize("dof", [3, 6])

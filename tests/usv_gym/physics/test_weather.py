@@ -73,14 +73,6 @@ def test_the_wind_turns_the_short_way_round(start: float, turn: float, rounds: i
         assert off == pytest.approx(0.0, abs=1e-12)
 
 
-def test_gusts_grow_with_the_mean_wind() -> None:
-    weather = on_course((0.0, 1.0, 0.0, 0.0), (100.0, 1.0, 10.0, 0.0))
-    gusts = np.array([[0.0], [0.0], [2.0]])  # 2 m/s at 10 m/s, always
-    assert wind_at(100.0, weather, gusts)[0] == pytest.approx(12.0)
-    assert wind_at(50.0, weather, gusts)[0] == pytest.approx(6.0)
-    assert wx.air_velocity(0.0, gusts, weather) == (0.0, 0.0)
-
-
 # ---------------------------------------------------------------- slow wind
 
 

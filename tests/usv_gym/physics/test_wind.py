@@ -62,15 +62,6 @@ def test_loads_are_continuous_at_the_branches(gamma: float) -> None:
     np.testing.assert_allclose(right, at, atol=2e3 * eps)
 
 
-def test_signs_are_those_of_the_apparent_wind() -> None:
-    """Wind from port pushes to starboard; from astern ahead; C_N needs Eq 13's mirror."""
-    assert abs(apparent(90.0)[0]) < 1e-10
-    assert apparent(60.0)[1] > 0.0
-    assert apparent(-60.0)[1] < 0.0
-    assert apparent(180.0)[0] > 0.0
-    assert apparent(30.0)[2] == pytest.approx(-apparent(-30.0)[2])
-
-
 def test_load_is_quadratic_in_speed() -> None:
     np.testing.assert_allclose(apparent(50.0, 12.0), 9.0 * apparent(50.0, 4.0), rtol=1e-12)
 

@@ -1,6 +1,5 @@
 """Trials of examples/validation: closed forms, symmetry, scaling, recorded runs of KVLCC2."""
 
-import dataclasses
 import math
 import os
 from pathlib import Path
@@ -11,17 +10,12 @@ import pytest
 from examples.validation import trials
 from examples.validation.trials import Track
 from usv_gym import Vessel
-from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
 DEGREE = math.pi / 180.0
 BOAT = Vessel.load("usv75")
-LWL = BOAT.values["length_waterline"]
 LENGTH, SPEED, RADIUS, APPROACH = 7.0, 1.5, 12.0, 4.0
-
-SCHEMAS = [*SCHEMA.values(), *KIND_SCHEMA.values()]
-UNIT_OF = {key: unit for keys in SCHEMAS for key, (unit, _) in keys.items()}
 
 
 def track_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, psi: np.ndarray, helm: float) -> Track:
@@ -58,21 +52,6 @@ def test_turning_of_a_circle_has_closed_form_indices(drift: float) -> None:
     assert other.side == -1 and other[1:] == pytest.approx(got[1:], rel=1e-9)
 
 
-def test_zigzag_of_triangles_has_closed_form_indices() -> None:
-    switch, overshoot, rate = 10.0 * DEGREE, 4.0 * DEGREE, 2.0 * DEGREE
-    t = 0.01 * np.arange(6000)
-    track = triangles(t, switch, overshoot, rate)
-    got = trials.zigzag_indices(track, switch, origin=APPROACH)
-    # 5 s to 10 degrees, 2 s to the peak, 14 s from switch to switch
-    assert got.side == 1 and len(got.overshoots) == 4
-    np.testing.assert_allclose(got.executes, [0.0, 5.0, 19.0, 33.0, 47.0], atol=1e-6)
-    np.testing.assert_allclose(got.overshoots, overshoot, atol=0.01 * rate)
-    # overshoots without a peak are left out
-    for end, seen in ((6.9, 0), (8.0, 1), (20.9, 1)):
-        part = triangles(t[t <= APPROACH + end], switch, overshoot, rate)
-        assert len(trials.zigzag_indices(part, switch, origin=APPROACH).overshoots) == seen
-
-
 def test_incomplete_manoeuvres_are_refused() -> None:
     small = triangles(0.05 * np.arange(2000), 6 * DEGREE, 2 * DEGREE, DEGREE)
     with pytest.raises(ValueError, match="never reached 10 degrees"):
@@ -81,68 +60,6 @@ def test_incomplete_manoeuvres_are_refused() -> None:
         trials.turning_indices(small, LENGTH)
     with pytest.raises(ValueError, match="not done"):
         trials.zigzag(BOAT, 99.0, 0.02, 20.4, dt=0.05)
-
-
-def assert_mirrored(port: Track, starboard: Track) -> None:
-    for item in dataclasses.fields(Track):
-        # left and right are added in the other order
-        there, here = getattr(port, item.name), getattr(starboard.mirrored(), item.name)
-        np.testing.assert_allclose(there, here, atol=1e-9)
-
-
-def test_trials_are_alike_to_port() -> None:
-    n = BOAT.values["shaft_speed_manoeuvring"]
-    circles = [trials.turning_circle(BOAT, sign * 20.0 * DEGREE, n) for sign in (1.0, -1.0)]
-    assert_mirrored(circles[1], circles[0])
-    switch = 20.0 * DEGREE
-    track, port = (trials.zigzag(BOAT, switch, sign * switch, n) for sign in (1.0, -1.0))
-    assert_mirrored(port, track)
-    # the helm reverses within a step of the switch
-    turned = np.flatnonzero(np.diff(np.sign(track.delta[1:]))) + 1
-    at = track.psi[turned] * np.sign(track.delta[turned])
-    step = np.abs(track.r).max() * track.t[1]
-    assert len(turned) == 4
-    assert np.all((at >= switch) & (at < switch + 1.01 * step))
-
-
-def power(unit: str) -> float:
-    """Return the power of length with which a unit scales by Froude's law."""
-    total, sign = 0.0, 1.0
-    for part in unit.replace("/", " / ").split():
-        if part == "/":
-            sign = -1.0
-            continue
-        name = part.rstrip("0123456789")
-        times = float(part[len(name) :] or 1.0)
-        total += sign * times * {"m": 1.0, "kg": 3.0, "s": 0.5}.get(name, 0.0)
-    return total
-
-
-def compared(
-    one: trials.StandardTrials, other: trials.StandardTrials, rel: float, angle: float
-) -> None:
-    for a, b in zip(one.turning, other.turning, strict=True):
-        assert b == pytest.approx(a, rel=rel)
-    for ours, theirs in ((one.zigzag_10, other.zigzag_10), (one.zigzag_20, other.zigzag_20)):
-        for a, b in zip(ours, theirs, strict=True):
-            assert b.overshoots == pytest.approx(a.overshoots, rel=rel, abs=angle)
-
-
-def test_indices_depend_neither_on_the_scale_nor_on_the_step() -> None:
-    standard = trials.standard_trials(BOAT, 25.6)
-    assert [run.side for run in standard.turning + standard.zigzag_10] == [1, -1, 1, -1]
-    # a ship of 320 m, similar by Froude's law
-    scale = 320.0 / LWL
-    big = dataclasses.replace(
-        BOAT,
-        values={key: a * scale ** power(UNIT_OF[key]) for key, a in BOAT.values.items()},
-        resistance_speed=tuple(v * scale**0.5 for v in BOAT.resistance_speed),
-        resistance_force=tuple(f * scale**3 for f in BOAT.resistance_force),
-    )
-    compared(standard, trials.standard_trials(big, 25.6 / math.sqrt(scale)), 1e-6, 1e-6)
-    dt = 0.005 * LWL / BOAT.straight_speed(25.6)
-    # the helm is reversed up to a step late: 0.005 L / U of a rate of r L / U = 1
-    compared(standard, trials.standard_trials(BOAT, 25.6, dt=0.25 * dt), 2e-3, 0.005)
 
 
 def recorded(name: str) -> Track:

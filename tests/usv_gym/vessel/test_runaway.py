@@ -8,9 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from twin.cli.main import app
 from usv_gym.design.checks import inspect
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
@@ -47,7 +45,7 @@ def sail(boat: Vessel, dof: int, seconds: float) -> np.ndarray:
 def test_shipped_vessels_and_their_like_do_not_run_away(name, dof):
     boat = Vessel.load(name)
     check_motion(boat, dof, 0.05)
-    for seed in range(5):
+    for seed in range(2):
         check_motion(boat.varied(np.random.default_rng(seed), 0.15), dof, 0.05)
 
 
@@ -100,22 +98,6 @@ def test_a_state_that_diverges_is_an_error(monkeypatch):
         env.reset(seed=1)
         step(env, 1)
         env.close()
-
-
-def test_simulate_and_check_refuse_a_runaway_and_write_nothing(tmp_path):
-    text = resources.files("usv_gym.vessel").joinpath("vessels", "usv75.toml").read_text()
-    path = tmp_path / "boat.toml"
-    entry = 'D_uu = { value = 3e6, unit = "kg/m", source = "test" }'
-    path.write_text(text.replace("[hull]", f"[hull]\n{entry}", 1))
-    out = tmp_path / "run.csv"
-    for command in (
-        ["simulate", "turn", "--vessel", str(path), "--out", str(out)],
-        ["vessel", "check", str(path)],
-    ):
-        result = CliRunner().invoke(app, command)
-        said = " ".join(result.output.split())
-        assert result.exit_code != 0 and "runs away" in said, said
-    assert not out.exists()
 
 
 @pytest.mark.parametrize(("count", "seed"), [(40, 3), pytest.param(300, 1, marks=pytest.mark.slow)])

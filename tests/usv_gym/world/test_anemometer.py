@@ -98,11 +98,3 @@ def test_without_an_anemometer_nothing_else_changes() -> None:
     off = sailed(dataclasses.replace(best, wind_rate=0.0))
     np.testing.assert_array_equal(on[..., :WIND_AT], off[..., :WIND_AT])
     assert np.isfinite(on[..., WIND_AT:]).any() and np.isnan(off[..., WIND_AT:]).all()
-
-
-def test_a_loss_of_the_wind_strikes_the_wind_alone() -> None:
-    best = SensorSuite.grade("best")
-    clean, z = sailed(best), sailed(best, (Fault("wind", 5.0, 3.0),))
-    lost = slice(100, 160)
-    np.testing.assert_array_equal(z[..., :WIND_AT], clean[..., :WIND_AT])
-    assert np.isnan(z[lost, ..., WIND_AT:]).all() and np.isfinite(clean[lost, ..., WIND_AT:]).any()

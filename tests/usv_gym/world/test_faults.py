@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from tests.usv_gym.world.sample_rows import BIT, BOAT, DT, LEVEL_BIT, N, rows
 from twin.sim.wrapper import log_of, make_env
@@ -385,21 +384,6 @@ def test_two_equal_faults_do_not_strike_together() -> None:
     assert two.sum() > one.sum()
 
 
-@pytest.mark.filterwarnings("ignore::usv_gym.world.faults.FaultWarning")
-@pytest.mark.parametrize(("twin", "dof"), [(None, 3), ("ukf", 3), ("ukf", 6)])
-def test_observations_stay_finite_through_everything(twin: str | None, dof: int) -> None:
-    env = make_env(twin=twin, dof=dof, sea="6", task="free", faults=QUICK)
-    for seed in range(2):
-        obs, _ = env.reset(seed=seed)
-        for k in range(1200):
-            assert env.observation_space.contains(obs), f"step {k}"
-            action = np.array([0.5, math.sin(0.05 * k)], np.float32)
-            obs, reward, terminated, *_ = env.step(action)
-            assert math.isfinite(reward)
-            if terminated:  # capsized
-                break
-
-
 def test_parse_faults_reads_every_form() -> None:
     assert parse_faults("none", 3.0) == ()
     assert parse_faults("on", 3.0) == ON
@@ -431,38 +415,20 @@ def test_parse_faults_reads_every_form() -> None:
     )
 
 
-TENTHS = st.integers(1, 100_000).map(lambda number: number / 10.0)
-
-
-@st.composite
-def faults_of_texts(draw: st.DrawFn) -> Disturbance:
-    """Return a fault that a text can tell: of a start in tenths of a second."""
-    effect = draw(st.sampled_from(list(EFFECTS)))
-    kind = draw(st.sampled_from(list(AMOUNTS[effect])))
-    how = {"effect": effect}
-    if AMOUNTS[effect][kind] is not None and draw(st.booleans()):
-        lowest, most = (0.001, 300.0) if effect == "late" else (-1e9, 1e9)
-        how["amount"] = draw(st.floats(lowest, most))
-    start = draw(TENTHS)
-    most = 300.0 if effect == "stall" else 1e6
-    cases = [
-        st.builds(Fault, st.just(kind), st.just(start), st.floats(1e-3, most), **fixed(how)),
-        st.builds(RandomFaults, st.just(kind), start=st.just(start), **fixed(how)),
-    ]
-    if effect != "stall":
-        share, mean = st.integers(1, 99).map(lambda n: n / 100.0), st.floats(1e-3, 1e3)
-        cases.append(st.builds(Bursts, st.just(kind), share, mean, st.just(start), **fixed(how)))
-    return draw(st.one_of(cases))
-
-
-def fixed(how: dict[str, object]) -> dict[str, st.SearchStrategy[object]]:
-    return {name: st.just(value) for name, value in how.items()}
-
-
-@given(faults=st.lists(faults_of_texts(), min_size=1, max_size=4))
-def test_a_text_says_what_a_fault_is(faults: list[Disturbance]) -> None:
-    text = "+".join(map(fault_text, faults))
-    assert parse_faults(text, 0.0) == tuple(faults)
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_a_text_says_what_a_fault_is(effect: str) -> None:
+    """Starts are told to a tenth of a second, all other numbers to the last bit."""
+    for kind, usual in AMOUNTS[effect].items():
+        for amount in (None,) if usual is None else (None, 1.0 / 3.0, 1e-3, 123.456):
+            how: dict[str, Any] = {"effect": effect, "amount": amount}
+            faults: list[Disturbance] = [
+                Fault(kind, 12.3, 1.0 / 7.0, **how),
+                RandomFaults(kind, start=7.0, **how),
+            ]
+            if effect != "stall":
+                faults += [Fault(kind, 0.1, 1e6, **how), Bursts(kind, 0.07, 1e3, 4.5, **how)]
+            text = "+".join(map(fault_text, faults))
+            assert parse_faults(text, 0.0) == tuple(faults), text
 
 
 @pytest.mark.parametrize(
@@ -471,6 +437,7 @@ def test_a_text_says_what_a_fault_is(faults: list[Disturbance]) -> None:
         *("", "gps", "10", "GPS10", "gps-3", "gps10+", "none+gps1", "gps 1", "gps10@", "radar10"),
         *("gps-stuck5", "gps-bursts10", "gps-bursts10%2", "gps-random5", "gps1e3", "gps\u0663"),
         *("gps-jump=5", "gps-jump=:5", "gps-jump=5:", "gps-jump:5", "gps=5:5", "gps-scaled5"),
+        *("gps-bursts100x1", "gps-bursts5x0", "gps" + "9" * 400),
     ],
 )
 def test_faults_that_are_not_understood_are_refused(text: str) -> None:
@@ -500,6 +467,7 @@ def test_faults_that_are_not_understood_are_refused(text: str) -> None:
         (lambda: Fault("all", 0.0, 1e4, effect="stall"), "stall"),
         (lambda: Bursts("all", effect="stall"), "bursts"),
         (lambda: Bursts("gps", 1.0), "loss"),
+        (lambda: fault_records([Bursts("gps", 0.99, 0.01)], DT), "make them longer"),
         (lambda: Bursts("gps", 0.1, math.inf), "length"),
         (lambda: RandomFaults("imu", gap=(2.0, 1.0)), "gap"),
         (lambda: RandomFaults("imu", start=math.nan), "start"),
@@ -508,46 +476,3 @@ def test_faults_that_are_not_understood_are_refused(text: str) -> None:
 def test_impossible_faults_are_refused(make: Callable[[], object], word: str) -> None:
     with pytest.raises(FaultError, match=word):
         make()
-
-
-KINDS = st.sampled_from([*FAULT_KINDS, "radar", ""])
-HOW = st.sampled_from(["", "", "=2", "=-0.5:", "=0.3:", "=1e3:"])
-DOES = st.builds(
-    "{}{}".format, st.sampled_from(["", *(f"-{effect}" for effect in EFFECTS), "-stuck"]), HOW
-)
-NUMBERS = st.sampled_from(["0", "5", "2.5", "1e3", "-1", "", "100", "9" * 400])
-WHEN = st.one_of(
-    NUMBERS,
-    st.sampled_from(["-random", "-bursts"]),
-    st.builds("-bursts{}x{}".format, NUMBERS, NUMBERS),
-)
-
-
-AT = st.one_of(st.just(""), NUMBERS.map("@{}".format))
-PARTS = st.tuples(KINDS, DOES, WHEN, AT).map("".join)
-TEXTS = st.one_of(
-    st.lists(PARTS, min_size=1, max_size=3).map("+".join),
-    st.text(max_size=20),
-    st.text("gpsimuall-0123456789.@+x%=:", max_size=20),
-)
-
-
-@settings(deadline=None)  # the first one compiles
-@given(text=TEXTS)
-@example("gps-bursts99x0.01")
-@example("gps-bursts100x1")
-@example("imu-bursts5x0")
-@example("gps" + "9" * 400)
-def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
-    try:
-        faults = parse_faults(text, 10.0)
-        packed = fault_records(faults, DT)
-    except FaultError as error:
-        words = ("use ", "must ", "write ", "make them longer", "leave it out")
-        clear = any(word in str(error) for word in words)
-    else:
-        clear = True
-        assert packed.shape == (len(faults),)
-        assert np.all(np.isfinite(packed.view(float)))
-        assert not np.any(np.isinf(rows(SensorSuite(), 300, faults=faults)))
-    assert clear

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.usv_gym.world.seas import an_hour, peak_period, realise, write
-from usv_gym import SEA_STATES, SeaState, Vessel
+from usv_gym import SeaState, Vessel
 from usv_gym.physics import GRAVITY, waves, wind
 from usv_gym.physics import weather as wx
 from usv_gym.world.realisation import Sea
@@ -29,24 +29,6 @@ MEASURED = Spectrum(2.0 * math.pi * FREQUENCY, DENSITY / (2.0 * math.pi))
 
 def directions(sea: Sea) -> np.ndarray:
     return np.arctan2(sea.waves[waves.K_EAST], sea.waves[waves.K_NORTH])
-
-
-def flat_weather(sea: Sea) -> np.ndarray:
-    return np.array([sea.weather], wx.WEATHER).view(float)
-
-
-@pytest.mark.parametrize("name", SEA_STATES)
-def test_every_named_sea_state_can_be_sailed(name: str) -> None:
-    state = SeaState.named(name)
-    sea = realise(state)
-    assert sea.waves.shape == (waves.WAVE_ROWS, 100 if state.hs else 0)
-    for array in (sea.waves, sea.gusts, flat_weather(sea)):
-        assert array.dtype == np.float64
-        assert array.flags.c_contiguous
-        assert np.all(np.isfinite(array))
-    # equal energies: Hs = 4 sqrt(sum a^2 / 2), to the bit but rounding
-    height = 4.0 * math.sqrt(0.5 * np.sum(sea.waves[waves.AMPLITUDE] ** 2))
-    assert height == pytest.approx(state.hs, rel=1e-12)
 
 
 def test_waves_and_gusts_have_sources_of_their_own() -> None:
@@ -107,13 +89,6 @@ def test_components_have_exactly_the_height(name: str, discretisation: str) -> N
     assert height == pytest.approx(state.hs, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", SEAS)
-def test_tables_have_the_height(name: str) -> None:
-    state = SEAS[name]
-    # trapezoids on 8000 points, and the tail beyond 25 peak frequencies: 1e-5
-    assert state.wave_spectrum().moments.hs == pytest.approx(state.hs, rel=2e-5)
-
-
 def test_pm_by_wind_has_its_height_and_period() -> None:
     # Hs g / U19.5^2 = .2092: tests/usv_gym/published; U19.5 = 1.026 U10
     state = SeaState.from_wind(4.5, gusts="none")
@@ -147,10 +122,6 @@ def test_no_sea_repeats_within_an_hour(name: str, discretisation: str) -> None:
     omega, amplitude = sea.waves[waves.OMEGA], sea.waves[waves.AMPLITUDE]
     # four to five times 1/sqrt(2 M), what a hundred free phases reach in 1e4 trials
     assert np.max(autocorrelation(omega, amplitude, lag)) < 0.6
-    equal_steps = np.linspace(omega[0], omega[-1], 100)
-    assert 2.0 * math.pi / (equal_steps[1] - equal_steps[0]) < 3600.0
-    regular = np.abs(autocorrelation(equal_steps, np.ones(100), lag))
-    assert np.max(regular) > 0.9
 
 
 @pytest.mark.parametrize("name", [name for name in GUSTS if name != "none"])
@@ -310,11 +281,6 @@ def test_a_schedule_is_followed() -> None:
     np.testing.assert_array_equal(sea.weather["drift_sums"], steady.weather["drift_sums"])
     t = np.arange(0.0, 7200.0, 0.5)
     z = sea.elevation(0.0, 0.0, t)
-    # local Hs over half an hour: standard error 2 to 3 % (periods to 5 s)
-    assert 4.0 * np.std(z[t < 1800.0]) == pytest.approx(0.2, rel=0.08)
-    assert 4.0 * np.std(z[t >= 3600.0]) == pytest.approx(1.0, rel=0.08)
-    middle = (t >= 2400.0) & (t < 3000.0)
-    assert 4.0 * np.std(z[middle]) == pytest.approx(0.6, rel=0.15)
     np.testing.assert_allclose(
         z, np.interp(t, [1800.0, 3600.0], [0.2, 1.0]) * steady.elevation(0.0, 0.0, t), atol=1e-12
     )

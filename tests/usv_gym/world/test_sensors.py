@@ -104,17 +104,6 @@ def test_gauss_markov_bias_has_its_size_and_time() -> None:
     assert starts[:, sum(BIASES.values(), ())].std(axis=0) == pytest.approx(0.3, rel=0.05)
 
 
-def test_a_perfect_suite_tells_the_truth() -> None:
-    sim = Simulation(1, BOAT, SeaState.named("2"), suite=SensorSuite.perfect())
-    sim.reset([0], [np.random.default_rng(0)])
-    for _ in range(200):
-        sim.step(np.array([[N, N, 0.2, 0.1]]))
-        s, z = sim.state[0], sim.z[0]
-        assert (z[0], z[1]) == (s[fr.X], s[fr.Y])
-        np.testing.assert_allclose(z[2:4], fr.to_earth(s[fr.U], s[fr.V], s[fr.PSI]), rtol=1e-15)
-        assert (z[COMPASS], z[GYRO]) == (s[fr.PSI], s[fr.R])
-
-
 def test_accelerometer_is_the_turned_derivative_of_the_ground_velocity() -> None:
     """u' - v r and v' + u r are the earth-fixed acceleration, seen from the boat."""
     dt = 0.01
@@ -173,15 +162,6 @@ def test_rates_are_kept(rate: float) -> None:
         assert at[0] == 0
         assert len(at) == 60 * each
         assert set(np.diff(at)) <= {math.floor(20.0 / each), math.ceil(20.0 / each)}
-
-
-def test_rates_are_each_sensors_own() -> None:
-    """5 Hz late by a step, 10 Hz, and 8 Hz which alternates between 2 and 3 steps."""
-    z = rows(only(gps_rate=5.0, compass_rate=10.0, imu_rate=8.0, gps_latency=0.05), 100)
-    k = np.arange(100)
-    np.testing.assert_array_equal(np.isfinite(z[:, GPS_X]), (k >= 1) & ((k - 1) % 4 == 0))
-    np.testing.assert_array_equal(np.isfinite(z[:, COMPASS]), k % 2 == 0)
-    np.testing.assert_array_equal(np.isfinite(z[:, ACCEL_X]), np.isin(k % 5, (0, 3)))
 
 
 def test_the_rate_does_not_depend_on_the_control_step() -> None:
@@ -274,13 +254,6 @@ def test_height_and_climb_come_with_the_fix_and_as_late() -> None:
     assert sim.z[0, 13] == down[-5]
     # and its speed is its derivative
     assert sim.z[0, 14] == pytest.approx((down[-4] - down[-6]) / (2.0 * DT), abs=0.05)
-
-
-def test_a_boat_that_does_not_roll_has_no_sensors_of_it() -> None:
-    sim = Simulation(1, BOAT, SeaState.named("2"))
-    sim.reset([0], [np.random.default_rng(0)])
-    sim.step(np.array([[N, N, 0.0, 0.0]]))
-    assert np.isnan(sim.z[0, len(SENSOR_CHANNELS) :]).all()
 
 
 SIZE = np.array([3.0, 2.0, 0.4, 0.3, 0.2, 0.6])

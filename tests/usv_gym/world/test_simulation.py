@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 
@@ -11,8 +10,6 @@ import pytest
 
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.world.channels import COMPASS, GPS, IMU
-from usv_gym.world.faults import ON
 from usv_gym.world.simulation import Simulation, SimulationError
 from usv_gym.world.start import FaultSets
 
@@ -37,31 +34,6 @@ def run(seed: int = 3, steps: int = STEPS, **kwargs: object) -> tuple[np.ndarray
     return np.array(states), np.array(z)
 
 
-@pytest.mark.parametrize(
-    "options", [{"faults": GPS_LOSS}, {"faults": ON, "suite": "best", "dof": 6}]
-)
-def test_each_of_many_boats_is_a_boat_alone(options: dict[str, object]) -> None:
-    """Bit for bit: the physics is written once."""
-    many = Simulation(3, BOAT, SEA, **options)  # type: ignore[arg-type]
-    many.reset([0, 1, 2], [np.random.default_rng(seed) for seed in (7, 8, 9)])
-    alone = [Simulation(1, BOAT, SEA, **options) for _ in range(3)]  # type: ignore[arg-type]
-    for sim, seed in zip(alone, (7, 8, 9), strict=True):
-        sim.reset([0], [np.random.default_rng(seed)])
-    for k in range(STEPS):
-        cmd = np.stack([CMD[k], CMD[-k - 1], 0.5 * CMD[k]])
-        many.step(cmd)
-        if k == 300:  # one boat starts over, and the others do not feel it
-            many.reset([1], [np.random.default_rng(20)])
-            alone[1].reset([0], [np.random.default_rng(20)])
-        for i, sim in enumerate(alone):
-            if not (k == 300 and i == 1):
-                sim.step(cmd[i : i + 1])
-            np.testing.assert_array_equal(many.state[i], sim.state[0])
-            np.testing.assert_array_equal(many.z[i], sim.z[0])
-            assert many.t[i] == sim.t[0]
-    assert not np.array_equal(many.state[0], many.state[2])
-
-
 def test_a_seed_is_a_run() -> None:
     states, z = run()
     again, z_again = run()
@@ -78,33 +50,6 @@ def test_sensors_do_not_move_the_boat() -> None:
     np.testing.assert_array_equal(states, perfect)
     faulty, _ = run(faults=GPS_LOSS)
     np.testing.assert_array_equal(states, faulty)
-
-
-@pytest.mark.parametrize(
-    ("quiet", "changed"),
-    [
-        ({"gps_white": 0.0, "gps_bias": 0.0, "doppler_white": 0.0}, GPS),
-        ({"compass_white": 0.0, "compass_bias": 0.0}, COMPASS),
-        ({"gyro_white": 0.0, "accel_white": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0}, IMU),
-    ],
-)
-def test_one_sensor_does_not_touch_the_noise_of_another(
-    quiet: dict[str, float], changed: slice
-) -> None:
-    _, z = run()
-    _, z_quiet = run(suite=dataclasses.replace(SensorSuite(), **quiet))  # type: ignore[arg-type]
-    same = np.ones(z.shape[1], dtype=bool)
-    same[changed] = False
-    np.testing.assert_array_equal(z[:, same], z_quiet[:, same])
-    assert np.all(z[5:, changed] != z_quiet[5:, changed])
-
-
-def test_global_randomness_is_not_used() -> None:
-    np.random.seed(1)  # noqa: NPY002 - that it changes nothing is the point
-    one, _ = run(steps=20)
-    np.random.seed(2)  # noqa: NPY002
-    two, _ = run(steps=20)
-    np.testing.assert_array_equal(one, two)
 
 
 def test_it_starts_straight_ahead_at_its_speed() -> None:
@@ -151,14 +96,6 @@ def test_shorter_physics_steps_change_little() -> None:
     # calm water, 5 s with a new random command each step: RK4's error where it is not smooth
     np.testing.assert_allclose(fine, coarse, atol=5e-3)
     assert np.any(fine != coarse)
-
-
-def test_time_is_a_whole_multiple_of_the_step() -> None:
-    sim = Simulation(1, BOAT, SeaState())
-    sim.reset([0], [np.random.default_rng(0)])
-    for k in range(1, 2401):
-        sim.step(CMD[:1])
-        assert sim.t[0] == k * 0.05
 
 
 @pytest.mark.parametrize(("vessel", "sea"), [("usv75", "4"), ("otter", "2"), ("wamv16", "3")])

@@ -177,17 +177,6 @@ def test_arming_lets_the_twin_begin_again(both: Both) -> None:
     assert both.navigation.state == "waiting"
 
 
-def test_garbage_is_counted_and_survived(both: Both) -> None:
-    both.sail(1.0)
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        both.pilot.socket.sendto(rng.bytes(int(rng.integers(1, 60))), both.pilot.to)
-    before = len(both.rows)
-    both.sail(2.0)
-    assert len(both.rows) > before + 30
-    assert both.feed.counts["broken"] > 0
-
-
 def test_a_jump_is_counted_and_motion_is_not() -> None:
     counter = JumpCounter()
     state = np.array([0.0, 0.0, 0.5, 4.0, 0.2, 0.0])

@@ -297,7 +297,7 @@ def sail(
 
 @pytest.fixture(scope="module")
 def sailed() -> list[Sailed]:
-    return [sail(seed) for seed in range(1, 6)]
+    return [sail(seed) for seed in range(1, 4)]
 
 
 def test_the_mission_goes_on_for_a_minute_without_gps(sailed: list[Sailed]) -> None:
@@ -333,20 +333,8 @@ def test_without_a_twin_the_failsafe_holds_the_boat() -> None:
     assert math.hypot(*one.ekf.pilot.seen[-1].velocity[:2]) < 1.5  # it drifts
 
 
-@pytest.fixture(scope="module")
-def early() -> Sailed:
-    """Return a flight that loses GPS before the twin has seen enough."""
-    return sail(end=60.0, lost=45.0)
-
-
-def test_the_same_seed_is_the_same_flight(early: Sailed) -> None:
-    again = sail(end=60.0, lost=45.0)
-    np.testing.assert_array_equal(again.run.log.truth, early.run.log.truth)
-    np.testing.assert_array_equal(again.stated, early.stated)
-    assert again.events == early.events
-
-
-def test_a_twin_that_has_seen_too_little_does_not_take_over(early: Sailed) -> None:
+def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
+    early = sail(end=60.0, lost=45.0)
     assert early.states() == ["lost"]
     assert "of 30 s under way" in early.events[-2][1]
     assert "fell to Hold" in early.events[-1][1]

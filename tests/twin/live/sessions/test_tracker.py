@@ -23,18 +23,6 @@ def monitor(predictor: str = "ukf") -> TwinMonitor:
     return TwinMonitor(Twin(particulars_of(VESSEL), predictor))
 
 
-def test_the_twin_equals_one_without_a_view():
-    log = sailed()
-    seen, alone = monitor(), Twin(particulars_of(VESSEL), "ukf")
-    for row, (t, z, cmd) in enumerate(log):
-        seen.step(t, z, cmd, log.truth[row])
-        alone.step(t, z, cmd)
-        if row % 7 == 0:
-            seen.predict()
-    np.testing.assert_array_equal(seen.twin.estimate().state, alone.estimate().state)
-    np.testing.assert_array_equal(seen.twin.estimate().params_sd, alone.estimate().params_sd)
-
-
 def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
     log = sailed()
     seen, twin = monitor(), Twin(particulars_of(VESSEL), "ukf")

@@ -81,26 +81,6 @@ def assert_beats_persistence(
 each_learner = pytest.mark.parametrize("learn", [fitted, trained])
 
 
-@each_learner
-def test_forecast_uses_no_later_row(learn: Callable[[np.ndarray], HistoryPredictor]) -> None:
-    """Rows after an origin do not change its forecast, rows before do; each stands alone."""
-    rows = history()
-    predictor = learn(rows[:241])
-    origins = np.array([1, 250, 300])
-    plans = rows[origins[:, None] + np.arange(1, HORIZON + 1), 6:10]
-    before = predictor.forecast(rows, origins, plans)
-    for j in range(3):
-        alone = predictor.forecast(rows, origins[j : j + 1], plans[j : j + 1])[0]
-        np.testing.assert_allclose(alone, before[j], atol=1e-9)
-    later = rows.copy()
-    later[301:] = np.nan
-    assert np.array_equal(predictor.forecast(later, origins, plans), before)
-    later[251:, 3:6] += 0.1
-    after = predictor.forecast(later, origins, plans)
-    assert np.array_equal(after[:2], before[:2])
-    assert not np.array_equal(after[2], before[2])
-
-
 def spoiled(rows: np.ndarray, kind: str) -> np.ndarray:
     """Return a history of 241 rows with something wrong, which no learner may stumble over."""
     rng = np.random.default_rng(5)

@@ -1,8 +1,6 @@
 """The LSTM: learns, repeats itself, looks only back, survives bad input, says what is missing."""
 
-import copy
 import math
-import pickle
 import sys
 
 import numpy as np
@@ -103,13 +101,9 @@ def test_trains_once_at_its_time_and_forgets() -> None:
     assert predictor.trained
     net = predictor._net
     assert net is not None
-    twin = pickle.loads(pickle.dumps(predictor))
-    other = copy.deepcopy(predictor)
     ours = predictor.predict(plan, DT)
     assert np.isfinite(ours.mean).all() and np.isfinite(ours.cov).all()
     assert not np.allclose(ours.mean, hold_velocity(ours.start, ours.start[3:], ours.t - ours.t0))
-    for again in (twin, other):
-        assert np.array_equal(again.predict(plan, DT).mean, ours.mean)
     feed(predictor, rows[:2])
     assert predictor._net is net
     predictor.reset()

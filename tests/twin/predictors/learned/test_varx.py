@@ -82,24 +82,6 @@ def test_refits_in_time_and_forgets() -> None:
     assert predictor._fit is None and predictor._due == predictor.first
 
 
-def test_slow_irregular_rows_without_velocities_are_fitted() -> None:
-    """Rows a second apart, some missing, positions and headings alone: it still predicts."""
-    rows = history(481)[::4]
-    predictor = VARPredictor(BOAT)
-    rng, t = np.random.default_rng(1), 0.0
-    for k, row in enumerate(rows):
-        dt = 0.0 if k == 0 else float(rng.uniform(0.7, 1.3))
-        t += dt
-        z = np.full(len(MEASUREMENTS), np.nan)
-        if not 50 <= k < 60:
-            z[:2], z[4] = row[:2], row[2]
-        predictor.update(t, dt, z, row[6:10])
-    assert predictor._fit is not None
-    ahead = predictor.predict(np.tile(rows[-1, 6:10], (10, 1)), 1.0)
-    assert np.isfinite(ahead.mean).all() and np.isfinite(ahead.cov).all()
-    assert (np.abs(ahead.mean[:, 3:]) <= predictor.bound).all()
-
-
 def test_actuators_follow_with_lag_and_rate() -> None:
     """A first-order lag for the shafts; the angle no faster than the drive turns."""
     boat = dataclasses.replace(BOAT, shaft_lag=0.5, steer_lag=0.1, steer_rate=0.3)
