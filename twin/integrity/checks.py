@@ -35,7 +35,6 @@ from twin.integrity.bank import (
 from twin.integrity.commands import (
     LEARN_LOG_RATIO_MAX,
     LEFT_DEAD,
-    RESIDUAL_SD_MIN,
     RIGHT_DEAD,
     SOUND,
     WARM_UP_STEPS,
@@ -212,7 +211,7 @@ def _aid_bank(memory, has_gps, given):
     for axis in range(2):
         bank.push[axis] = drives.push[axis] * scale
         bank.excess[axis] = drives.excess[axis] * scale
-        bank.push_var[axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2) * scale**2
+        bank.push_var[axis] = drives.push_var[axis] * scale**2
     bank.samples[THRUST], bank.interval[THRUST] = 1.0, span
 
 

@@ -154,6 +154,7 @@ DRIVES = np.dtype(
         ("surges", "f8", HYPOTHESES),  # surge by the commands alone, as each hypothesis says
         ("force_var", "f8", 2),  # variance of the forces less those by the commands
         ("push", "f8", 2),  # what the commands made in the last step, forward and to starboard
+        ("push_var", "f8", 2),  # variances of that
         ("excess", "f8", 2),  # what the accelerometers measured more
         ("length", "f8"),  # how long it was, s
         ("said", "f8"),  # 1 where these are new
@@ -240,14 +241,23 @@ def _change(drives, axis, row):
 
 
 @inlined
-def _spread(drives, axis, h, row, given):
-    """Return the variance of the change of an axis by a hypothesis."""
-    S, theta = drives.variance[axis], drives.theta[axis]
+def _doubt(drives, axis, row):
+    """Return the variance of the change of an axis by errors of its coefficients."""
+    total = 0.0
     for i in range(TERMS):
         part = 0.0
         for j in range(TERMS):
             part += drives.P[axis, i, j] * row[j]
-        S += row[i] * part + (MODEL_ERROR * row[i] * theta[i]) ** 2
+        total += row[i] * part
+    return total
+
+
+@inlined
+def _spread(drives, axis, h, row, given):
+    """Return the variance of the change of an axis by a hypothesis."""
+    S, theta = drives.variance[axis] + _doubt(drives, axis, row), drives.theta[axis]
+    for i in range(TERMS):
+        S += (MODEL_ERROR * row[i] * theta[i]) ** 2
     if h == UNKNOWN:
         size = theta[2] * theta[2]
         if axis == YAW:
@@ -417,13 +427,15 @@ def _write_accelerations(drives, surge, changes, sway, turned, span, h, has_gps,
     """
     row = alloca_f64(TERMS)
     _write_row(row, SURGE, h, drives.begin[YAW], surge, sway, drives, given)
-    share = span / LEARN_S
+    share, doubt = span / LEARN_S, _doubt(drives, SURGE, row)
     drives.push[0], drives.push[1] = _change(drives, SURGE, row), surge * turned
     for axis in range(2):
         excess = changes[1 + axis] - drives.push[axis]
         drives.excess[axis] = excess
+        drives.push_var[axis] = max(drives.force_var[axis], RESIDUAL_SD_MIN**2)
         if has_gps:
             drives.force_var[axis] += share * (excess * excess - drives.force_var[axis])
+    drives.push_var[0] += doubt
     drives.length, drives.said = span, 1.0
 
 
