@@ -17,9 +17,10 @@ from twin.benchmark.loading import with_faults
 from twin.channels import MEASUREMENTS
 from twin.integrity.monitor import SensorMonitor, SensorStatus, run_over
 from twin.integrity.state import FROZEN, SENSORS, initial_integrity
-from twin.sim.bridge import particulars_of, simulate
+from twin.sim.bridge import measurement_row, particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import parse_faults
+from usv_gym.world.simulation import Simulation
 
 START_S = 70.0
 """When faults begin."""
@@ -128,6 +129,34 @@ def test_reversed_commands_are_named_and_sensors_stay(vessel):
     _, named, excluded, _ = sailed(vessel, 5, "commands-sign30", START_S + 15.0)
     assert named["commands"] < 10.0
     assert excluded == {"commands"}
+
+
+@pytest.mark.parametrize("fault", ["accelerometers-scale=3.28:20", "accel_x-bias=1:20"])
+@pytest.mark.parametrize("vessel", ["usv75", "wamv16"])
+def test_accelerometers_are_held_against_commands_from_an_early_loss_on(vessel, fault):
+    _, named, excluded, _ = sailed(vessel, 5, fault, 118.0, "gps35@85", 90.0)
+    assert 0.0 < named["accelerometers"] < 20.0
+    assert excluded <= {"accelerometers"}
+
+
+@pytest.mark.parametrize(("gentle_rps", "full_rps"), [(2.0, 8.0), (3.0, 16.0), (6.0, 25.0)])
+def test_commands_of_a_boat_that_sails_for_the_first_time_in_a_loss_are_sound(gentle_rps, full_rps):
+    boat, rng = Vessel.load("otter"), np.random.default_rng(4)
+    sim = Simulation(1, boat, SeaState(hs=0.0), suite=suite(5), dt=0.05)
+    sim.reset([0], [np.random.default_rng(4)], speed=0.0)
+    sensed, cmd = Sensed(particulars_of(boat, suite(5))), np.zeros(4)
+    for k in range(3200):
+        t = 0.05 * k
+        if k % 100 == 0:
+            gentle = rng.uniform(-gentle_rps, gentle_rps, 2)
+            full = rng.choice([0.1 * full_rps, full_rps], 2)
+            cmd[:2] = gentle if t < 30.0 else full if t > 100.0 else 0.0
+        sim.step(cmd[None])
+        z = measurement_row(sim.z[0])
+        if t > 80.0:
+            z[:4] = np.nan
+        sensed.take(t, z, cmd)
+        assert sensed.monitor.statuses(0.0)["commands"].status == "ok"
 
 
 def watched(log: Log, about: Particulars) -> Iterator[SensorMonitor]:
