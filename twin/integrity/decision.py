@@ -2,9 +2,8 @@
 
 As long as the filter in force passes its test, what it uses is sound. Where it fails, the smallest
 set is looked for whose filter passes without it: that of a single sensor before that of a device.
-If only one passes, it comes into force after :data:`DECIDE_SINGLE_S` (accelerometers that only the
-commands contradict after as many steps as a decision on these takes), else the likeliest after
-:data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be
+If only one passes, or one leads by likelihood, it comes into force after :data:`DECIDE_SINGLE_S`,
+else the best after :data:`DECIDE_S`. As no filter has seen what it leaves out, nothing has to be
 undone (solution separation).
 
 What is left out is used again when filter 0, begun anew from the filter in force, has passed for
@@ -42,7 +41,6 @@ from twin.integrity.bank import (
     convert,
     forget_tests,
 )
-from twin.integrity.commands import STEPS_MIN
 from usv_kernel.jit import inlined, kernel
 
 __all__ = ["DECISION", "decide"]
@@ -58,6 +56,9 @@ DECISION = np.dtype(
 
 DECIDE_SINGLE_S = 1.0
 """Delay of the decision where a single filter explains the failure."""
+
+LEAD_LOG_RATIO = -2.0 * math.log(1e-3)
+"""Twice the log-likelihood ratio to the next filter that is decided on after the same delay."""
 
 DECIDE_S = 6.0
 """Delay after which the filter with the highest likelihood is decided on."""
@@ -100,9 +101,10 @@ def _is_candidate(bank, k, force, device):
 
 @kernel
 def _best(bank, force, yaw_witness):
-    """Return how many filters may explain a failure, and the likeliest of them.
+    """Return how many filters may explain a failure, the best of them, and its lead.
 
-    Two are compared by the samples of the sensors that both use.
+    The lead is twice the logarithm of the likelihood ratio to the next one, by the samples of the
+    sensors that both use.
     """
     device = False
     for k in range(FILTERS):
@@ -133,7 +135,7 @@ def _best(bank, force, yaw_witness):
             least = min(least, ahead)
         if best < 0 or least > lead:
             best, lead = k, least
-    return count, best
+    return count, best, lead
 
 
 @inlined
@@ -158,13 +160,14 @@ def _leave_out(bank, state, force, yaw_witness, given):
             # what has never seen the fault passes all along
             filters[k].misfit[FIXES] = math.inf
     state.in_doubt = 1.0
-    count, best = _best(bank, force, yaw_witness)
+    count, best, lead = _best(bank, force, yaw_witness)
     waited, least = now - state.failing_since, DECIDE_S
-    if count == 1 and _is_tested(bank, best):
-        # or the commands are at fault: no sooner than that would be found
-        by_commands = best == NO_ACCELEROMETERS and bank.modelled > 0.0
-        least = STEPS_MIN * bank.interval[THRUST] if by_commands else DECIDE_SINGLE_S
-    if best >= 0 and waited >= least:
+    if (count == 1 and _is_tested(bank, best)) or lead > LEAD_LOG_RATIO:
+        least = DECIDE_SINGLE_S
+        if best == NO_ACCELEROMETERS and bank.modelled > 0.0:
+            # commands say it rarely: they say it twice
+            least = max(least, bank.interval[THRUST])
+    if best >= 0 and waited > least:
         state.afresh, state.failing_since, state.in_doubt = 0.0, -1.0, 0.0
         bank.force_filter = best
         if best != 0:
