@@ -192,6 +192,8 @@ BANK = np.dtype(
         ("acceleration", "f8"),  # mean square of a specific force, (m/s2)2
         ("acceleration_walk", "f8"),  # mean square change of it in a second, (m/s2)2/s
         ("epoch_force", "f8", 2),  # mean specific forces of the last epoch, m/s2
+        ("epoch_velocity", "f8", 2),  # mean GPS velocity of an epoch about a second ago, m/s ...
+        ("velocity_age", "f8"),  # ... and how long ago, s; NaN: there is none
         ("rate_walk", "f8"),  # mean square change of the yaw rate in a second, (rad/s)2/s
         ("epoch_rate", "f8"),  # mean yaw rate of the last epoch, rad/s
     ]
@@ -351,7 +353,7 @@ def predict(one, T, bank, given):
         P[PSI, PSI] += T * T * T / 3.0 * walk
     # as much, and as fast, as the accelerometers measured while they were sound
     acceleration = max(given.thrust_var, bank.acceleration)
-    walk = max(2.0 * given.thrust_var / given.thrust_time, bank.acceleration_walk)
+    walk = max(2.0 * acceleration / given.thrust_time, bank.acceleration_walk)
     for i in range(A1, A2 + 1):
         if driven:
             P[i, i] += 2.0 * T / given.bias_time * max(given.accel_bias_var - P[i, i], 0.0)
@@ -679,12 +681,25 @@ def _advance_filter(k, bank, given, sound, failing):
 
 
 @inlined
-def _learn_motion(bank):
+def _learn_motion(bank, given):
     """Learn the variance of accelerations, and time constants of these and of the yaw rate."""
-    T, share = bank.span, min(bank.span / LEARN_S, 0.1)
+    T = bank.span
+    share = min(T / min(max(bank.clock, LEARN_FIRST_S), LEARN_S), 0.1)
     has_force, has_gyro = bank.force[2] > 0.0, bank.gyro[1] > 0.0
     forward, side, rate = bank.force[0], bank.force[1], bank.gyro[0]
-    sound = bank.filters[0]
+    sound, n = bank.filters[0], bank.samples[VELOCITY]
+    bank.velocity_age += T
+    # over so long, noise of the velocity is small beside its change
+    if n > 0.0 and not bank.velocity_age < STEP_MAX_S - 1e-6:
+        north, east = bank.sum[2] - bank.epoch_velocity[0], bank.sum[3] - bank.epoch_velocity[1]
+        square = 0.5 * (north * north + east * east) - 2.0 * given.velocity_var / n
+        passed = bank.velocity_age
+        if not has_force and passed <= SILENT_S:
+            # without accelerometers from the change of the GPS velocity
+            more = min(share * passed / T, 0.1)
+            bank.acceleration += more * (square / (passed * passed) - bank.acceleration)
+        bank.epoch_velocity[0], bank.epoch_velocity[1] = bank.sum[2], bank.sum[3]
+        bank.velocity_age = 0.0
     if bank.force_filter == 0.0 and sound.ratio < 0.5:
         if min(bank.age[FIXES], bank.age[VELOCITY]) < SILENT_S:
             bank.fastest = max(bank.fastest, math.hypot(sound.x[VN], sound.x[VE]))
@@ -727,7 +742,7 @@ def _pass_gap(dt, z, bank, given):
             bank.filters[k].x[PSI] = z[4]
     begin_anew(bank, given)
     bank.rate = bank.epoch_rate = math.nan
-    bank.epoch_force[:] = math.nan
+    bank.epoch_force[:] = bank.velocity_age = math.nan
     _begin_epoch(bank)
 
 
@@ -742,7 +757,7 @@ def _end_epoch(bank, given):
     sound = bank.force_filter == 0.0 and not failing
     for k in range(FILTERS):
         _advance_filter(k, bank, given, sound, failing)
-    _learn_motion(bank)
+    _learn_motion(bank, given)
     _begin_epoch(bank)
 
 

@@ -153,7 +153,7 @@ def initial_integrity(particulars: Particulars) -> Array:
     memory = np.zeros(INTEGRITY.itemsize // 8)
     record = memory.view(INTEGRITY)[0]
     bank = record["bank"]
-    for name in ("last", "rate", "epoch_rate", "epoch_force"):
+    for name in ("last", "rate", "epoch_rate", "epoch_force", "velocity_age"):
         bank[name] = math.nan
     bank["level"] = LEVEL_MAX
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
