@@ -43,6 +43,7 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
 __all__ = [
+    "ACCELERATION_FIRST",
     "BANK",
     "BANK_SETTINGS",
     "FILTERS",
@@ -230,6 +231,9 @@ BANK_SETTINGS = np.dtype(
 
 ACCELERATION_MIN = 0.05
 """Least standard deviation of the acceleration of a boat, m/s2: small waves make as much."""
+
+ACCELERATION_FIRST = 1.0
+"""Standard deviation of the acceleration before it is known, m/s2: of a small boat in waves."""
 
 GPS_DRIFT_S = 400.0
 """Time constant of the drift of a GPS."""

@@ -547,6 +547,11 @@ def check_commands(recording: Recording, particulars: Particulars | None) -> lis
             what = f"{which}: 0 in all rows while the boat sails {way:.0f} m"
             remedy = "record them all; a boat with one shaft only has one column, n_rps"
             found.append(Finding(severity, code, what, remedy, sensor))
+        commanded = recording.cmd[np.isfinite(recording.cmd).all(axis=1)]
+        if not still and (commanded == commanded[:1]).all():
+            what = "commands: the same in all rows: this log does not tell whether they are right"
+            remedy = "record the commands in force, with turns and changes of thrust"
+            found.append(Finding(NOTE, "unchecked", what, remedy, "commands"))
         if particulars is not None and SHARE not in name and n.any():
             found += _shaft_unit(recording, name, n, at, speed, particulars)
     if particulars is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.navigation_state import sample_limits
-from twin.integrity.bank import BANK, BANK_SETTINGS, LEVEL_MAX, bank_settings
+from twin.integrity.bank import ACCELERATION_FIRST, BANK, BANK_SETTINGS, LEVEL_MAX, bank_settings
 from twin.integrity.commands import DRIVES, DRIVES_SETTINGS, drives_settings, initial_drives
 from twin.integrity.decision import DECISION
 from twin.particulars import Particulars
@@ -155,7 +155,7 @@ def initial_integrity(particulars: Particulars) -> Array:
     bank = record["bank"]
     for name in ("last", "rate", "epoch_rate", "epoch_force", "velocity_age"):
         bank[name] = math.nan
-    bank["level"] = LEVEL_MAX
+    bank["level"], bank["acceleration"] = LEVEL_MAX, ACCELERATION_FIRST**2
     bank["imu_age"] = record["sensors"]["silent"] = NEVER_S
     record["last"] = math.nan
     record["decision"]["failing_since"] = -1.0

@@ -309,9 +309,14 @@ TABLE: tuple[Hypothesis, ...] = (
 
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
-    """Return the faults that signals may have, each once; of one shaft, where they are two."""
+    """Return the faults that signals may have, each once; of one shaft, where they are two.
+
+    A boat that drifts in turns follows its heading late. So only accelerometers tell a late GPS.
+    """
     one = {"left", "right", "sides"} if np.array_equal(*s.stacked(*SHAFTS)) else set[str]()
     table = [each for each in TABLE if one.isdisjoint((each.sensor, each.code))]
+    if not s.has(*FORCES[:2]):
+        table = [each for each in table if (each.code, each.sensor) != ("late", "gps")]
     return list({each.what: each for each in table if s.has(*each.changed)}.values())
 
 

@@ -16,7 +16,7 @@ from twin import Log, Particulars, Twin
 from twin.benchmark.loading import with_faults
 from twin.channels import MEASUREMENTS
 from twin.integrity.monitor import SensorMonitor, SensorStatus, run_over
-from twin.integrity.state import FROZEN, SENSORS, initial_integrity
+from twin.integrity.state import FROZEN, SENSORS, STATUSES, initial_integrity
 from twin.sim.bridge import measurement_row, particulars_of, simulate
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.world.faults import parse_faults
@@ -179,6 +179,19 @@ def test_sound_sensors_are_silent(vessel, rate):
     for monitor in watched(log, particulars_of(boat, suite(rate))):
         seen |= {one.status for one in monitor.statuses(0.0).values()}
     assert seen <= {"ok", "absent"}
+
+
+@pytest.mark.parametrize("rate", [20, 5, 1])
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+def test_sound_sensors_of_a_small_boat_without_accelerometers_are_silent_in_waves(vessel, rate):
+    boat = Vessel.load(vessel)
+    log = simulate(
+        "random", vessel=boat, sea=SeaState(hs=0.9), duration=150.0, seed=rate, suite=suite(rate)
+    )
+    z = log.z.copy()
+    z[:, [MEASUREMENTS.index("accel_x_mps2"), MEASUREMENTS.index("accel_y_mps2")]] = np.nan
+    statuses, _ = run_over(particulars_of(boat, suite(rate)), log.t, z, log.cmd)
+    assert {STATUSES[int(one)] for one in np.unique(statuses)} <= {"ok", "absent"}
 
 
 def test_whitened_innovations_of_sound_sensors_are_white():

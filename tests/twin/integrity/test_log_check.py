@@ -279,6 +279,19 @@ def test_sound_logs_have_no_finding(vessel: str, scenario: str, hs: float, dof: 
     assert serious(check_recording(poor)) == set()
 
 
+@pytest.mark.parametrize("vessel", ["otter", "wamv16", "telemetron"])
+def test_a_sound_log_without_accelerometers_has_no_finding_in_waves(vessel: str) -> None:
+    log, boat = sound(vessel, "turn-zigzag", 0.6, seed=10)
+    bare = recording(log, without("accel_x_mps2", "accel_y_mps2"))
+    assert serious(check_recording(bare, boat)) == set()
+
+
+def test_commands_that_never_change_are_said_to_be_unchecked() -> None:
+    log, boat = sound("otter", "zigzag", 0.2)
+    same = recording(log, scaled(0.0, *COMMANDS[:2], plus=8.0))
+    assert finding(check_recording(same, boat), "unchecked:commands").severity == NOTE
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_named(name: str) -> None:
     run, code, fault = FAULTS[name]
