@@ -68,7 +68,8 @@ def _recorded(results: Row) -> list[dict[str, Any]]:
         {
             **{key: row[key] for key in ("fault", "plan", "predictor", "runs")},
             **{"scenario": row["folder"], "case": row["fault"], "of": f"rmse_{row['channel']}_10s"},
-            "metric": f"rmse_{row['channel']}_10s" + f"_over_{BASELINE}" * ("ratio" in row),
+            "metric": f"rmse_{row['channel']}_10s"
+            + (f"_over_{BASELINE}" if "ratio" in row else ""),
             "unit": "" if "ratio" in row else UNITS[f"{row['channel']}_10s"],
             **{key: row.get(key) for key in ("low", "high")},
             "value": row.get("ratio", row.get("rmse")),
@@ -246,7 +247,8 @@ def latex_text(results: Row) -> str:
     ).items():
         runs = max(row["runs"] for row in rows)
         loss = "" if fault == "none" else f", loss {_escaped(fault)}"
-        over = " over that of persistence" * any(row["metric"] != row["of"] for row in rows)
+        ratios = any(row["metric"] != row["of"] for row in rows)
+        over = " over that of persistence" if ratios else ""
         caption = (
             f"Recorded runs of {_escaped(folder)}{loss}, {_planned(plan)}: RMSE "
             f"after 10\\,s{over}, mean over {runs} run{'s' if runs > 1 else ''}."

@@ -229,9 +229,6 @@ BANK_SETTINGS = np.dtype(
 )
 """What it is given of a boat and its instruments."""
 
-ACCELERATION_MIN = 0.05
-"""Least standard deviation of the acceleration of a boat, m/s2: small waves make as much."""
-
 ACCELERATION_FIRST = 1.0
 """Standard deviation of the acceleration before it is known, m/s2: of a small boat in waves."""
 
@@ -268,7 +265,7 @@ def bank_settings(particulars: Particulars) -> Array:
             2.0 * (GRAVITY * I.tilt_sd) ** 2 * I.tilt_time,
             (0.5 * turn) ** 2 * turn,
             turn**2,
-            max(0.25 * U * turn, ACCELERATION_MIN) ** 2,
+            (0.25 * U * turn) ** 2,
             L / U,
             U**2,
             I.gps_latency,
@@ -355,7 +352,7 @@ def predict(one, T, bank, given):
         walk = max(given.rate_drift, bank.rate_walk)
         P[G, G] += T * walk
         P[PSI, PSI] += T * T * T / 3.0 * walk
-    # as much, and as fast, as the accelerometers measured while they were sound
+    # as much, and as fast, as was measured; it lasts no longer than a length takes
     acceleration = max(given.thrust_var, bank.acceleration)
     walk = max(2.0 * acceleration / given.thrust_time, bank.acceleration_walk)
     for i in range(A1, A2 + 1):

@@ -202,6 +202,7 @@ def _aid_bank(memory, has_gps, given):
     """Give the bank what the commands make, where a step of theirs has just ended."""
     bank, drives = memory.bank, memory.drives
     sound = drives.hypothesis == SOUND and drives.impossible <= 0.0
+    sound = sound and drives.steps > WARM_UP_STEPS
     sound = sound and most_evidence(drives) < LEARN_LOG_RATIO_MAX
     bank.modelled = 1.0 if sound and not has_gps else 0.0
     if drives.said == 0.0:

@@ -499,9 +499,10 @@ def _end_step(drives, motion, doubted, has_gps, now, given):
         suspected = _add_evidence(
             drives, changes, bias_var, turned, sway, axes, has_gps, now, given
         )
-    if trained and int(drives.hypothesis) == h:
+    if int(drives.hypothesis) == h:
         at = drives.begin[SURGE] if has_gps else own
-        _compare_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
+        if trained:
+            _compare_turns(drives, yaw, motion, at, sway, span, h, has_gps and not doubted, given)
         if measured:
             ahead = (changes[0], forces[0], forces[1])
             _write_accelerations(

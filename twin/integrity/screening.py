@@ -28,10 +28,6 @@ COARSE = 2.0 * math.sqrt(math.pi) * FALSE_ALARM ** (1.0 / FROZEN_INTERVALS)
 Two samples of white noise round to one number with the probability step / (2 sqrt(pi) sd).
 """
 
-ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""Change of a sample, as a share of it, that rounding makes: velocities of the courses 0 and 360
-degrees differ by so much."""
-
 MASKED_S = 0.5
 MASKED_SAMPLES = 2.5
 """Exclusion of a sensor after an impossible number: time, and samples if that is longer."""
@@ -116,11 +112,11 @@ def find_frozen(dt, memory, given):
         first, end = PARTS[part, 0], PARTS[part, 1]
         if math.isnan(z[first]):
             continue
-        step = size = 0.0
+        same = True
         for j in range(first, end):
-            step, size = math.hypot(step, z[j] - memory.last[j]), math.hypot(size, z[j])
+            same = same and z[j] == memory.last[j]
         typical = max(memory.renewal[part], bank.row)
-        if step <= ROUNDING * size:
+        if same:
             long = memory.unchanged[part] > (FROZEN_INTERVALS - 0.5) * typical
             memory.frozen[part] = 1.0 if long and _shows_motion(part, memory, given) else 0.0
             if part <= COMPASS and memory.unused[part] < max(REPEAT_USED_S, 2.0 * typical):
@@ -135,7 +131,9 @@ def find_frozen(dt, memory, given):
             memory.unchanged[part] = memory.frozen[part] = 0.0
             if part == COMPASS:
                 memory.turned = 0.0
+            step = 0.0
             for j in range(first, end):
+                step = math.hypot(step, z[j] - memory.last[j])
                 memory.last[j] = z[j]
             if step < memory.step[part] or (memory.step[part] == 0.0 and not math.isnan(step)):
                 memory.step[part] = step

@@ -94,6 +94,7 @@ class Hypothesis:
     error_from: float = math.inf  # size from which on a log cannot be used so
     cost: float = 0.0  # beyond that of any fault
     guess: bool = False  # whether what undoes it takes from other columns
+    needs: tuple[str, ...] = ()  # other columns without which nothing tells it
 
     def severity(self, size: float) -> str:
         """No fault of the columns that a twin does without is an error."""
@@ -256,7 +257,8 @@ TABLE: tuple[Hypothesis, ...] = (
                  _late(*names), DELAY) for sensor, names in (
         ("compass", COMPASS), ("fixes", FIX), ("velocity", VELOCITY), ("gyro", GYROS[2:]))),
     Hypothesis("late", "gps", "the GPS comes {size} s late", f"gps_latency = {{value}} {STATED}",
-               (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY),
+               (*FIX, *VELOCITY), _late(*FIX, *VELOCITY), DELAY,
+               needs=FORCES[:2]),  # a boat that drifts in turns follows its heading late
     Hypothesis("unit", "velocity", "only the size of the velocity goes with the fixes: its course "
                "is no angle in radians", 'unit = "deg" for the course in the mapping', VELOCITY,
                _of_way, cost=RARE_FAULT_COST, guess=True),
@@ -309,15 +311,10 @@ TABLE: tuple[Hypothesis, ...] = (
 
 
 def hypotheses(s: Signals) -> list[Hypothesis]:
-    """Return the faults that signals may have, each once; of one shaft, where they are two.
-
-    A boat that drifts in turns follows its heading late. So only accelerometers tell a late GPS.
-    """
+    """Return the faults that signals may have, each once; of one shaft, where they are two."""
     one = {"left", "right", "sides"} if np.array_equal(*s.stacked(*SHAFTS)) else set[str]()
     table = [each for each in TABLE if one.isdisjoint((each.sensor, each.code))]
-    if not s.has(*FORCES[:2]):
-        table = [each for each in table if (each.code, each.sensor) != ("late", "gps")]
-    return list({each.what: each for each in table if s.has(*each.changed)}.values())
+    return list({each.what: each for each in table if s.has(*each.changed, *each.needs)}.values())
 
 
 class Trial(NamedTuple):

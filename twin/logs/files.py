@@ -272,7 +272,7 @@ def _reader(text: bytes, mark: str) -> Any:
 def _plain_cells(text: bytes, mark: str, width: int) -> list[str]:
     """Return the cells of lines, one line after the other.
 
-    None where one has quotes or another number of cells: that takes a reader.
+    Nothing where one has quotes or another number of cells: that takes a reader.
     """
     lines = _lines(text).removesuffix("\n").split("\n")
     plain = text and b'"' not in text and all(line.count(mark) == width - 1 for line in lines)

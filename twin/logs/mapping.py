@@ -338,7 +338,7 @@ class _Parser:
             form,
             date,
             zone,
-            ((source, self.pulses(name, factor, offset, table)),),
+            ((source, marks),) if (marks := self.pulses(name, factor, offset, table)) else (),
         )
 
     def pulses(
@@ -445,6 +445,7 @@ class _Parser:
 
         def convert(values: Sequence[Array]) -> list[Array]:
             speed, course = values_of(values)
+            course = np.mod(course, 2.0 * math.pi)  # one course has one number
             return [speed * np.cos(course), speed * np.sin(course)]
 
         note = f"gps_vx_mps, gps_vy_mps: from speed {sources[0]} and course {sources[1]}"
@@ -475,7 +476,8 @@ class _Parser:
             raise self.fail(where, f"{' and '.join(units)} must come from the same topic")
         parts = list(zip(names, (one, other), strict=True))
         made = [self.linear(name, 1, *part[2:]) or list for name, part in parts]
-        pulses = tuple((part[1], self.pulses(name, *part[2:])) for name, part in parts)
+        marked = [(part[1], self.pulses(name, *part[2:])) for name, part in parts]
+        pulses = tuple(each for each in marked if each[1])
 
         def convert(values: Sequence[Array]) -> list[Array]:
             return [make([value])[0] for make, value in zip(made, values, strict=True)]

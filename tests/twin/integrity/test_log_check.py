@@ -457,7 +457,7 @@ def test_a_coarse_velocity_is_not_frozen_and_its_noise_is_that_of_rounding(run: 
     def coarse(data: Columns) -> None:
         speed = 0.5 * (np.hypot(*(data[name] for name in VELOCITY)) / 0.5).round()
         course = np.arctan2(data[VELOCITY[1]], data[VELOCITY[0]]) / math.radians(10.0)
-        course = math.radians(10.0) * course.round()
+        course = np.mod(math.radians(10.0) * course.round(), 2.0 * math.pi)  # as a mapping does
         data[VELOCITY[0]], data[VELOCITY[1]] = speed * np.cos(course), speed * np.sin(course)
 
     log, boat = sound(*RUNS[run])

@@ -109,7 +109,7 @@ _DEGREES = (
 UNIT_WORDS = {
     "deg": rf"degs|{_DEGREES}",
     "rad": r"rad|rads|radians",
-    "kn": r"kn|kt|kts|knot|knots|knoten|knopen|knop|knob|nds?|noeuds?|nudos|nodi|nos|w|wezly",
+    "kn": r"kn|kt|kts|knot|knots|knoten|knopen|knop|knob|nds?|noeuds?|nudos|nodi|nos|wezly",
     "kmph": r"kmh|kmph|kph",
     "mph": r"mph",
     "mps": r"mps|ms1",

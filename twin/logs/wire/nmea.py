@@ -287,7 +287,7 @@ def _rmc(sentence: Any) -> Message:
             raise FeedError("a speed below 0")
         # a receiver at rest leaves the course empty
         if speed is not None and (course is not None or speed == 0.0):
-            course = math.radians(course or 0.0)
+            course = math.radians((course or 0.0) % 360.0)
             values["gps_vx_mps"] = KNOT * speed * math.cos(course)
             values["gps_vy_mps"] = KNOT * speed * math.sin(course)
         values |= _eastward("variation", sentence.mv, sentence.mvEW)
@@ -307,7 +307,7 @@ def _vtg(sentence: Any) -> Message:
     void = getattr(sentence, "posMode", "") in NO_MODE
     if void or speed is None or (course is None and speed > 0.0):
         return Message("VTG", void=True)
-    course = math.radians(course or 0.0)
+    course = math.radians((course or 0.0) % 360.0)
     north, east = speed * math.cos(course), speed * math.sin(course)
     return Message("VTG", values={"gps_vx_mps": north, "gps_vy_mps": east})
 
